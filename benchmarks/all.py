@@ -1,4 +1,4 @@
-"""Every table of the documents, measured one benchmark after the other.
+"""Runs every benchmark one after the other, for all tables of the documents.
 
     make bench          # RECON_DATA names the folder of real recordings
     python -m benchmarks.all --only humor real --out out
@@ -39,12 +39,12 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "speed": ("speed", "CORPUS"),
     "forces": ("forces", "OBSERVATIONS"),
 }  # fmt: skip
-"""Modules below benchmarks and their arguments. CORPUS and OBSERVATIONS are folders of data,
-other names in capitals are files or folders of runs below --out."""
+"""Modules below benchmarks and their arguments. CORPUS and OBSERVATIONS are folders of data, other
+names in capitals are files or folders that earlier runs wrote below --out."""
 
 
 def main() -> None:
-    """Convert, then run every benchmark."""
+    """Convert the corpus, then run every benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out"))
     parser.add_argument("--only", nargs="+", choices=COMMANDS, default=list(COMMANDS))
@@ -61,14 +61,14 @@ def main() -> None:
 
 
 def placed(argument: str, places: dict[str, Path], out: Path) -> str:
-    """An argument with its folder in place of a name in capitals."""
+    """Return a command's argument, with its folder in place of a name in capitals."""
     if argument in places:
         return str(places[argument])
     return str(out / argument.lower()) if re.fullmatch("[A-Z_]+", argument) else argument
 
 
 def run(module: str, *arguments: str) -> None:
-    """One benchmark, in a process and with threads of its own."""
+    """Run one benchmark in a process of its own, with one thread."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-m", module, *arguments], env=environment, check=True)
 

@@ -1,20 +1,20 @@
-"""Is this checkout as good and as fast as another one, on the same files?
+"""Compares the errors and speed of this checkout with those of another, on the same files.
 
     python -m benchmarks.beside CORPUS --tree ../other --python ../other/.venv/bin/python
     python -m benchmarks.beside CORPUS --tree ../other --cases noisy slips --most 4 --out FOLDER
 
 Inputs are written once, by this checkout, for windows of two seconds of the test and validation
 people (`benchmarks.beside_cases`). Each checkout has a process of one thread that calls the public
-function (`recon.fit`, `recon.complete`, ...) with these files and saves what it gives; the two
-take turns, and which is first changes. This checkout judges what both saved. Windows are taken
+function (`recon.fit`, `recon.complete`, ...) with these files and saves its result; they run in
+turns, and which is first changes. This checkout computes the errors of both. Windows are taken
 from one person after the other, all cases of a window before the next window. FOLDER/pairs.jsonl
-has a line for every pair of results; the same command goes on where it was stopped, as long as
-neither checkout's library has another commit; with `--most 0` it only tells what there is.
+has a line for every pair of results; the same command continues where it was stopped, as long as
+both checkouts' libraries have the same commits; with `--most 0` it only prints the tables.
 
-`ratio` is the mean over people of a person's sum of errors here by that there, with its 95 %
-interval (people and their windows are drawn again); `met` says whether it is at most 1.01 and the
-upper end of the interval at most 1.02. CPU seconds have the median of the ratios of pairs. What
-was refused by either checkout is counted and has no ratio.
+`ratio` is the mean over people of a person's sum of errors here divided by that there, with its 95
+% interval (people and their windows are resampled); `met` says whether it is at most 1.01 and the
+upper end of the interval at most 1.02. CPU seconds have the median of the ratios of pairs. Clips
+that either checkout refused are counted and have no ratio.
 """
 
 import json
@@ -40,12 +40,12 @@ LIBRARY = ("recon", "priors", "observations")
 MOST_MEAN, MOST_UPPER = 1.01, 1.02
 """Ratio of errors up to which a row is met, and upper end of its interval."""
 Pair = Mapping[str, Any]
-"""A line of the log: `row`, `group`, `case`, `window`, `subject`, `commits`, and of the other
-checkout and this one `values`, `seconds` and why it was `refused`."""
+"""A line of the log: `row`, `group`, `case`, `window`, `subject`, `commits`, and, for the other
+checkout and this one, error `values`, CPU `seconds` and the reason why it `refused`."""
 
 
 def main() -> None:
-    """Run what is missing, print and write."""
+    """Run the missing cases with both checkouts, print and write the table."""
     arguments = parser(__doc__, "corpus")
     arguments.add_argument("--tree", type=Path, required=True, help="the other checkout")
     arguments.add_argument("--python", default=sys.executable, help="of its environment")
@@ -76,7 +76,7 @@ def main() -> None:
 
 
 def library_commit(tree: Path) -> str:
-    """The last commit that changed the library, with `+` where it differs from that."""
+    """Return the last commit that changed the library, with `+` if files differ from it."""
     asked = (["log", "-1", "--format=%H"], ["status", "--porcelain", "-uno"])
     last, changed = (
         subprocess.run(["git", *words, "--", *LIBRARY], cwd=tree, capture_output=True, text=True,
@@ -87,13 +87,13 @@ def library_commit(tree: Path) -> str:
 
 
 def logged(path: Path, commits: Sequence[str]) -> list[Pair]:
-    """Pairs of an earlier run of the same commits."""
+    """Read the pairs of an earlier run of the same commits."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [pair for pair in map(json.loads, lines) if pair["commits"] == list(commits)]
 
 
 def listed(corpus: Path, folder: Path) -> list[Window]:
-    """All listed windows, one of each person after the other, with their truths written."""
+    """Return all listed windows, one of each person in turn, and write their true motions."""
     folder.mkdir(exist_ok=True)
     body, splits = recon.BodyModel.load(), Splits.load()
     by_person: dict[str, list[Window]] = {}
@@ -114,13 +114,13 @@ def listed(corpus: Path, folder: Path) -> list[Window]:
 
 
 def _spread(windows: Sequence[Window]) -> list[Window]:
-    """The same windows, so that the first few are spread evenly over the list."""
+    """Reorder windows so that the first few are spread evenly over the list."""
     step = next(s for s in range(round(0.62 * len(windows)), 9**9) if np.gcd(s, len(windows)) == 1)
     return [windows[k * step % len(windows)] for k in range(len(windows))]
 
 
 class Runner:
-    """Runs cases with both checkouts in turns, and judges them."""
+    """Runs cases with both checkouts in turns, and computes the errors."""
 
     def __init__(self, workers: tuple[Worker, Worker], out: Path) -> None:
         self._workers, self._out = workers, out
@@ -128,7 +128,7 @@ class Runner:
         self._turn = 0
 
     def pair(self, case: Case, window: Window) -> dict[str, Any]:
-        """One case of one window with both checkouts."""
+        """Run one case of one window with both checkouts; return a line for the log."""
         folder = self._out / "windows" / window.name / case.name
         folder.mkdir(parents=True, exist_ok=True)
         files = case.see(window, folder)
@@ -155,7 +155,7 @@ class Runner:
 
 
 def table(pairs: Sequence[Pair], commits: Sequence[str]) -> Table:
-    """A row for every case and measure."""
+    """Build a table with a row for every case and measure."""
     rows: list[list[Cell]] = []
     for name in dict.fromkeys(pair["group"] for pair in pairs):
         own = [pair for pair in pairs if pair["group"] == name]
@@ -174,7 +174,7 @@ def table(pairs: Sequence[Pair], commits: Sequence[str]) -> Table:
 
 
 def _compared(pairs: Sequence[Pair], measure: str) -> list[Cell]:
-    """People, windows, means, the ratio of the means, and whether it is small enough."""
+    """Return people, windows, means, the ratio of the means, and whether it is small enough."""
     people: dict[str, list[tuple[float, float]]] = {}
     for pair in pairs:
         there, here = (values.get(measure) for values in pair["values"])

@@ -1,12 +1,12 @@
-"""What two checkouts are compared on: files that sensors would write, calls, and their errors.
+"""The cases for a comparison of two checkouts: sensors' files, calls, and errors of results.
 
-Errors are metres unless said: `error` of joints in the world (noisy, three cameras, gaps by
-`convert`, live), about the pelvis (one camera, depth), of hidden points (hidden, gaps) or of
-vertices (completion). Retargeting has the five errors of `benchmarks.retarget`, on average as
+Errors are in metres unless said otherwise: `error` of joints in the world (noisy, three cameras,
+gaps by `convert`, live), about the pelvis (one camera, depth), of hidden points (hidden, gaps) or
+of vertices (completion). Retargeting has the five errors of `benchmarks.retarget`, on average as
 shares of the plain copy's; generation the mean displacement of four predictions from the truth;
 slips the error relative to the other checkout's fit of the clean clip, and the shares that are not
 caught and not named. `crps` is the continuous ranked probability score of joints under the
-standard deviations that the fit states, and is small where these are both right and small.
+standard deviations that the fit states; it is small where these are both right and small.
 """
 
 import json
@@ -44,30 +44,30 @@ from recon.simulation.images import camera_arrays
 from scripts.frozen.exports import export
 
 Values = dict[str, float | None]
-_THIRD = {"hide_below": 0.9, "during": (0.67, 1.33)}
-"""Legs that are hidden in the middle third of the two seconds."""
-_GAPS, _GAP_SECONDS = 0.3, (0.2, 1.0)
-"""Share of every marker's positions that are in gaps, and how long these are."""
+_LEGS_HIDDEN = {"hide_below": 0.9, "during": (0.67, 1.33)}
+"""Options that hide the legs in the middle third of the two seconds."""
+_GAP_SHARE, _GAP_SECONDS = 0.3, (0.2, 1.0)
+"""Share of every marker's positions that are in gaps, and range of the durations (s) of these."""
 _SHAPES = ("height=1.60", "height=1.90,weight=95", "woman,short", "man,heavy")
 BATCH = 16
-"""Clips of a batch, which two processes fit."""
+"""Number of clips of a batch, which two processes fit."""
 _SLIPS_EVERY = 3
-"""A window has one slip in so many."""
+"""Number of windows over which all slips are distributed: each has every third one."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """A listed window."""
+    """One listed window of a true motion, with the files that it is read from and written to."""
 
     name: str
     subject: str
     windows: TrueWindows
     number: int
-    """In these windows."""
+    """Index of the window in `windows`."""
     path: Path
-    """Motion file of the truth."""
+    """Motion file of the true motion of this window."""
     source: Path
-    """Motion file that it was cut from."""
+    """Motion file that the window was cut from."""
     body: recon.BodyModel
 
     @property
@@ -76,32 +76,33 @@ class Window:
         return self.windows.truth[self.number]
 
     def of(self, values: Sequence[str]) -> str:
-        """One of some values, the next for the next window."""
+        """Choose one of some values, the next one for the next window."""
         return values[self.number % len(values)]
 
     def save(self, motion: recon.Motion, path: Path) -> None:
-        """Write a motion of the body."""
+        """Write a motion of the body to a motion file."""
         recon.save_motion(path, MotionFile(motion, self.body.name, self.body.checksum))
 
     def recording(self, sensor: Sensor) -> Recording:
-        """What slips are made in."""
+        """Simulate the clean recording of a sensor, in which slips are made."""
         return recording_of(self.windows, self.number, sensor, self.body)
 
 
 See = Callable[[Window, Path], list[Path]]
-"""Writes files of a window into a folder; returns those that the call is given."""
+"""Function that writes a window's files into a folder, and returns those that the call is
+given."""
 Judge = Callable[[Window, Sequence[Path], Path], Values]
-"""Errors of what was saved, given the window and the files."""
+"""Function that computes the errors of a saved result, given the window and the files."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A call, and how what it gives is judged."""
+    """A call of the library on simulated files, and the function that computes its errors."""
 
     row: str
-    """Of `--cases`."""
+    """Name that selects the case on the command line (`--cases`)."""
     group: str
-    """Row of the table."""
+    """Row of the table in which the case is counted."""
     verb: str
     see: See
     judge: Judge
@@ -110,12 +111,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Unique among the cases of a window."""
+        """Name that is unique among the cases of a window."""
         return self.slip.replace("/", " of ") or self.group
 
 
 def simulated(kind: Any, **options: Any) -> See:
-    """Files of what a sensor sees; the view changes from window to window."""
+    """Return a function that simulates a sensor's files; its view changes between windows."""
 
     def see(window: Window, folder: Path) -> list[Path]:
         own = {**options, "seed": window.number}
@@ -128,7 +129,7 @@ def simulated(kind: Any, **options: Any) -> See:
 
 
 def a_minute(window: Window, folder: Path) -> list[Path]:
-    """Noisy joints of the clip run there and back for a minute."""
+    """Simulate noisy joints of a clip that is played forwards and backwards for a minute."""
     source = load_motion(window.source).motion.resample(window.truth.fps)
     window.save(there_and_back(source, 60.0), folder / "truth.npz")
     made = recon.simulate(folder / "truth.npz", "joints3d", noise=0.04, seed=window.number)
@@ -136,13 +137,13 @@ def a_minute(window: Window, folder: Path) -> list[Path]:
 
 
 def a_batch(window: Window, folder: Path) -> list[Path]:
-    """A manifest of noisy joints of the window, drawn anew for every clip."""
+    """Write a manifest of clips of noisy joints of the window, with other noise in every clip."""
     manifest(folder, window.truth[None], BATCH)
     return [folder / "all.jsonl"]
 
 
 def with_gaps(window: Window, folder: Path) -> list[Path]:
-    """43 markers, of which three tenths are hidden in gaps."""
+    """Simulate 43 markers, of whose positions three tenths are hidden in gaps."""
     (path,) = simulated("markers3d", noise=0.005)(window, folder)
     seen = load_observation(path)
     assert isinstance(seen, PositionsFile)
@@ -153,7 +154,7 @@ def with_gaps(window: Window, folder: Path) -> list[Path]:
 
 
 def trc_with_gaps(window: Window, folder: Path) -> list[Path]:
-    """Plug-in Gait's markers with 3 mm of noise and such gaps, in a TRC file."""
+    """Write Plug-in Gait's markers with 3 mm of noise and such gaps to a TRC file."""
     path = folder / "seen.trc"
     path.unlink(missing_ok=True)
     export(window.path, "--trc", path, "--markers", "pig")
@@ -170,11 +171,11 @@ def trc_with_gaps(window: Window, folder: Path) -> list[Path]:
 
 
 def _hidden(window: Window, frames: int, points: int) -> np.ndarray:
-    """Which positions are in gaps, (frames, points)."""
+    """Return a mask (frames, points) of the positions in gaps."""
     random, fps = np.random.default_rng(1000 + window.number), window.truth.fps
     hidden = np.zeros((frames, points), dtype=bool)
     for point in range(points):
-        while hidden[:, point].mean() < _GAPS:
+        while hidden[:, point].mean() < _GAP_SHARE:
             first = random.integers(-round(_GAP_SECONDS[0] * fps), frames)
             last = first + round(random.uniform(*_GAP_SECONDS) * fps)
             hidden[max(first, 0) : last, point] = True
@@ -182,25 +183,25 @@ def _hidden(window: Window, frames: int, points: int) -> np.ndarray:
 
 
 def on_the_ground(window: Window, folder: Path) -> list[Path]:
-    """The true motion at 20 Hz on the ground, as retargeting is measured."""
+    """Write the true motion at 20 Hz on the ground, as the retargeting benchmark does."""
     motion = grounded(window.truth.resample(20.0), window.body)
     window.save(motion, folder / "motion.npz")
     return [folder / "motion.npz"]
 
 
 def evaluated(metric: str) -> Judge:
-    """A metric of `recon.evaluate`, and the score of the standard deviations if there are any."""
+    """Return a judge that computes a metric of `recon.evaluate`, and the CRPS if possible."""
 
     def judge(window: Window, files: Sequence[Path], out: Path) -> Values:
         seen = files[0] if files[0].suffix == ".npz" else None
         found = recon.evaluate(out, window.path, observation=seen)
-        return {"error": found[metric], **_certainty(window, load_motion(out))}
+        return {"error": found[metric], **_crps(window, load_motion(out))}
 
     return judge
 
 
-def _certainty(window: Window, found: MotionFile) -> Values:
-    """Score of the standard deviations, metres; none where the world was found, too."""
+def _crps(window: Window, found: MotionFile) -> Values:
+    """Return the CRPS (m) of the standard deviations; empty if the world was estimated, too."""
     if found.joint_std is None or found.T_world_camera is not None:
         return {}
     joints, body = found.joints, window.body
@@ -214,30 +215,30 @@ def _certainty(window: Window, found: MotionFile) -> Values:
 
 
 def of_stream(window: Window, _: Sequence[Path], out: Path) -> Values:
-    """Joints of a stream."""
+    """Return the error of the joints that a stream gave."""
     with np.load(out) as file:
         away = torch.from_numpy(file["joints"]) - window.body.pose(window.truth).joints
     return {"error": float(away.norm(dim=-1).mean())}
 
 
 def of_minute(_: Window, files: Sequence[Path], out: Path) -> Values:
-    """Joints of the whole minute."""
+    """Return the error of the joints over the whole minute."""
     return {"error": recon.evaluate(out, files[0].with_name("truth.npz"))["joints_all"]}
 
 
 def of_rate(window: Window, _: Sequence[Path], out: Path) -> Values:
-    """Joints at another rate than the truth's."""
+    """Return the error of joints at another frame rate than the truth's."""
     return {"error": recon.evaluate(out, window.path)["joints_all"]}
 
 
 def of_batch(window: Window, _: Sequence[Path], out: Path) -> Values:
-    """Joints of all clips."""
+    """Return the error of the joints of all clips of a batch."""
     away = fitted_joints(out, BATCH) - window.body.pose(window.truth).joints.double().numpy()
     return {"error": float(np.linalg.norm(away, axis=-1).mean())}
 
 
 def of_retargeting(window: Window, files: Sequence[Path], out: Path) -> Values:
-    """Physics of the result as shares of the plain copy's."""
+    """Return the physics errors of a retargeted motion, as shares of the plain copy's."""
     source, made = load_motion(files[0]).motion, load_motion(out).motion
     down = soles_down(source, window.body)
     copy = with_equal_pelvis_path(source, window.body, made.shape)
@@ -250,7 +251,7 @@ def of_retargeting(window: Window, files: Sequence[Path], out: Path) -> Values:
 
 
 def of_predictions(window: Window, _: Sequence[Path], out: Path) -> Values:
-    """Mean displacement of all predictions."""
+    """Return the mean displacement of all predictions from the truth."""
     true = window.body.pose(window.truth).joints[1:]
     made = [
         window.body.pose(load_motion(path).motion).joints for path in sorted(out.glob("*.npz"))
@@ -260,7 +261,7 @@ def of_predictions(window: Window, _: Sequence[Path], out: Path) -> Values:
 
 
 def slip_case(slip: Slip) -> Case:
-    """The fit of a slipped clip, judged beside that of the clean one."""
+    """Return the case of fitting a clip with a slip, compared with the fit of the clean one."""
 
     def see(window: Window, folder: Path) -> list[Path]:
         return _saved(slip.spoil(window.recording(slip.sensor), slip.size), folder)
@@ -293,13 +294,13 @@ def _by_pose(_: Window) -> Mapping[str, Any]:
 
 
 def _placed(found: MotionFile) -> Any:
-    """What `truly_placed` reads of a result."""
+    """Wrap a motion file's result with the fields that `truly_placed` reads."""
     T = found.T_world_camera
     return SimpleNamespace(motion=found.motion, T_world_camera=None if T is None else T[0])
 
 
 def clean_case(sensor: Sensor) -> Case:
-    """The fit of the clean clip that slips are made in."""
+    """Return the case of fitting the clean clip in which slips are made."""
 
     def see(window: Window, folder: Path) -> list[Path]:
         return _saved(window.recording(sensor).clean, folder)
@@ -315,7 +316,7 @@ def clean_case(sensor: Sensor) -> Case:
 
 
 def _saved(seen: Sequence[Any], folder: Path) -> list[Path]:
-    """Files of observations in memory."""
+    """Write observations to files and return their paths."""
     paths = [folder / f"seen{k}.npz" for k in range(len(seen))]
     for path, one in zip(paths, seen, strict=True):
         values, weights = (own[0].double().numpy() for own in (values_of(one), weights_of(one)))
@@ -335,8 +336,8 @@ def _saved(seen: Sequence[Any], folder: Path) -> list[Path]:
 
 
 _SCANS: Mapping[str, Any] = {"noise": 0.005, "points": 300, "missing_frames": 0.85, "clothed": 1}
-_PHONE: Mapping[str, Any] = {"noise": 3.0, "unknown_ground": True, **_THIRD}
-_SENSOR: Mapping[str, Any] = {"noise": 0.005, "left_over": ("ground",), **_THIRD}
+_PHONE: Mapping[str, Any] = {"noise": 3.0, "unknown_ground": True, **_LEGS_HIDDEN}
+_SENSOR: Mapping[str, Any] = {"noise": 0.005, "left_over": ("ground",), **_LEGS_HIDDEN}
 _ROWS = (
     Case("noisy", "noisy", "fit", simulated("joints3d", noise=0.04), evaluated("joints_all")),
     Case("pose", "noisy, pose prior", "fit", simulated("joints3d", noise=0.04),
@@ -349,7 +350,7 @@ _ROWS = (
     Case("cameras", "one camera", "fit", simulated("keypoints2d", **_PHONE),
          evaluated("root_joints_all")),
     Case("cameras", "three cameras", "fit",
-         simulated("keypoints2d", noise=3.0, views=3, **_THIRD), evaluated("joints_all")),
+         simulated("keypoints2d", noise=3.0, views=3, **_LEGS_HIDDEN), evaluated("joints_all")),
     Case("depth", "depth", "fit", simulated("depth", **_SENSOR), evaluated("root_joints_all")),
     Case("gaps", "gaps, fit", "fit", with_gaps, evaluated("observed_hidden")),
     Case("gaps", "gaps, convert", "convert", trc_with_gaps, evaluated("joints_all")),
@@ -366,11 +367,11 @@ _ROWS = (
          lambda _: {"prior": "humor"}),
 )  # fmt: skip
 CASES = (*dict.fromkeys(case.row for case in _ROWS), "slips")
-"""Choices of `--cases`."""
+"""Names that `--cases` accepts."""
 
 
 def cases_of(window: Window, rows: Sequence[str]) -> Iterator[Case]:
-    """What is run of a window."""
+    """Yield the cases that are run for a window."""
     yield from (case for case in _ROWS if case.row in rows)
     if "slips" in rows:
         yield from (clean_case(sensor) for sensor in SENSORS)

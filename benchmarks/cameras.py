@@ -1,12 +1,12 @@
-"""Cameras: HuMoR against stages 1-2 on what they see of the listed windows, as `recon.fit` does.
+"""Compares HuMoR with the pose prior on keypoints of one or more simulated cameras.
 
     python -m benchmarks.cameras CORPUS --out FOLDER
     python -m benchmarks.cameras CORPUS --part validation --only 8 --cases "one camera"
 
-Windows of 90 frames. Cameras film in 1920 x 1080 with three pixels of noise, from directions that
-change from window to window; nothing below 0.9 m is seen for the middle third, or from the first
-frame to the last where half a body is seen. `one camera` does not know where the ground is; the
-others stand in a calibrated room, and `one camera, posed` is what the moving one compares with.
+Windows have 90 frames. Cameras film in 1920 x 1080 with three pixels of noise, from directions
+that change from window to window; nothing below 0.9 m is seen for the middle third, or in the
+whole clip where only half a body is seen. `one camera` does not know where the ground is; the
+others stand in a calibrated room, and `one camera of known pose` is compared with the moving one.
 Errors about the pelvis need no world; the others are taken in the true world by way of the true
 camera. CPU s is the time of one processor for one clip.
 """
@@ -44,16 +44,17 @@ from recon.simulation.points import Corruption
 SEED, FRAMES = 0, 90
 PIXELS = 3.0
 HIDDEN = 0.9
-"""Metres; nothing below is seen for a third of the clip."""
-_ORBIT = 1.0
-"""Radians that the moving camera is carried around the body by."""
+"""Height (m) below which nothing is seen for a third of the clip."""
+_ORBIT_RAD = 1.0
+"""Angle (rad) by which the moving camera is carried around the body."""
 
 COLUMNS: Metrics = {
     "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
     "joints_all": ("world cm", 100, 1),
     "normal": ("normal °", 1, 1), "height": ("height cm", 100, 1), "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
-"""Joints about the pelvis, visible and hidden; then in the world; errors of a found ground."""
+"""Errors of joints about the pelvis, visible and hidden, and in the world; errors of a ground that
+was found."""
 CASES: dict[str, tuple[int, bool, bool]] = {
     "one camera, ground not known": (1, False, False),
     "one camera of known pose": (1, True, False),
@@ -62,13 +63,13 @@ CASES: dict[str, tuple[int, bool, bool]] = {
     "legs never seen, one posed camera": (1, True, True),
     "legs never seen, three views": (3, True, True),
 }
-"""Cameras, whether they know their poses, and whether the legs are never seen."""
+"""Number of cameras, whether their poses are known, and whether the legs are never seen."""
 _MOVING = "moving camera of known poses"
 POSE, HUMOR = "stages 1-2", "collocation"
 
 
 def main() -> None:
-    """Film, fit, print and write."""
+    """Simulate, fit, print and write the table."""
     arguments = over_windows(__doc__)
     arguments.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     given = arguments.parse_args()
@@ -85,7 +86,7 @@ def main() -> None:
 
 
 def shown(found: Mapping[str, Mapping[str, list[Row]]], windows: TrueWindows) -> dict[str, Table]:
-    """A row for every case and method."""
+    """Build a table with a row for every case and method."""
     rows: list[list[Cell]] = []
     for case, methods in found.items():
         rows.extend([f"{case}: {m}", *cells(v, windows, COLUMNS)] for m, v in methods.items())
@@ -95,13 +96,13 @@ def shown(found: Mapping[str, Mapping[str, list[Row]]], windows: TrueWindows) ->
 def measured(
     windows: TrueWindows, number: int, case: str, how: Mapping[str, Any], body: BodyModel
 ) -> Row:
-    """One window filmed, fitted and compared."""
+    """Simulate one window's cameras, fit, and return errors and CPU time."""
     count, posed, half = CASES[case]
     truth = windows.truth[number]
     cameras = list(dome(truth, body, full_hd_camera(), count, first=2.4 * number))
     if case == _MOVING:
         middle = body.pose(truth).joints.flatten(0, 1).mean(0)
-        cameras = [orbiting(cameras[0], middle, truth.frames, _ORBIT)]
+        cameras = [orbiting(cameras[0], middle, truth.frames, _ORBIT_RAD)]
     hidden = corruption(truth, PIXELS, whole=half)
     views, visible = filmed(cameras, truth, body, hidden, number, posed=posed)
     began = time.process_time()
@@ -121,7 +122,7 @@ def measured(
 def in_true_world(
     result: recon.Result, T_world_camera: Float[Tensor, "*time 4 4"], body: BodyModel
 ) -> tuple[Motion, Row]:
-    """The motion in the true world by way of a camera that was found, and errors of the ground.
+    """Transform a fit to the true world by way of a found camera; also return ground errors.
 
     The angle between the normals is in degrees, the difference of the camera's heights in metres;
     both are None where the camera knew its pose.
@@ -136,7 +137,7 @@ def in_true_world(
 
 
 def corruption(truth: Motion, noise: float, *, whole: bool = False) -> Corruption:
-    """Legs hidden for the middle third, or for the whole clip."""
+    """Return settings that hide the legs in the middle third, or in the whole clip."""
     if whole:
         return Corruption(noise=noise, hide_below=HIDDEN)
     third = truth.frames / truth.fps / 3
@@ -148,7 +149,7 @@ def filmed(
     cameras: list[Camera], truth: Motion, body: BodyModel, hidden: Corruption, seed: int,
     *, posed: bool,
 ) -> tuple[tuple[Keypoints2D, ...], Bool[Tensor, "time 22"]]:  # fmt: skip
-    """Keypoints of fixed or moving cameras, and which joints any of them sees."""
+    """Return 2D keypoints of all cameras, and a mask of the joints that any of them sees."""
     files = [
         keypoints2d(truth, body, camera, hidden, 100 * seed + k)
         for k, camera in enumerate(cameras)

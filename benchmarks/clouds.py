@@ -1,4 +1,4 @@
-"""Depth alone and with other sensors through files: what somebody who has only files gets.
+"""Fits depth images, alone and with other sensors, that are read from observation files.
 
     python -m benchmarks.clouds CORPUS --part test --out FOLDER
     python -m benchmarks.clouds CORPUS --part validation --cases walks --only 6 --prior pose
@@ -13,8 +13,9 @@ sensor's own image, with one pixel of noise; joints have 3 cm. `walks` are 2.5 s
 of six people, 2 to 8 m from a sensor of known pose: across its view, towards it, away from it and
 askew; every other person without the ground.
 
-Errors of joints about the pelvis and of vertices in the world (by the true sensor) are in cm;
-a window is lost where joints are off by 15 cm in the mean. Refused windows are counted and told.
+Errors of joints about the pelvis and of vertices in the world (by the true sensor) are in cm; a
+window is lost if the mean error of joints is more than 15 cm. Refused windows are counted and
+printed.
 """
 
 import functools
@@ -61,33 +62,33 @@ from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption, joints3d
 
 JOINT_NOISE = 0.03
-"""Metres, of every coordinate of joints."""
+"""Standard deviation (m) of every coordinate of joints."""
 _PIXELS_KEPT = 30_000
-"""Pixels of a depth image, ground included; some thousand of them see the body."""
+"""Number of pixels kept of a depth image with the ground; some thousand of them see the body."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One window before its sensors."""
+    """Simulated sensors of one window of a true motion."""
 
     truth: Motion
     body: BodyModel
     number: int
-    """Number of the window in the list, which seeds everything random and the view."""
+    """Index of the window in the list, which is the random seed and determines the view."""
 
     @functools.cached_property
     def shown(self) -> WatchedSurface:
-        """The body that the sensor sees."""
+        """The body's surface as the sensor sees it."""
         return WatchedSurface.of(self.truth, self.body)
 
     @functools.cached_property
     def camera(self) -> Camera:
-        """The depth sensor in its true place."""
+        """The depth sensor at its true pose."""
         return dome(self.truth, self.body, depth_camera(), 1, first=2.4 * self.number)[0]
 
     @functools.cached_property
     def cloud(self) -> PointsFile:
-        """Body and ground before a sensor of known pose; the legs hidden for the middle third."""
+        """Points of body and ground from the posed sensor; legs hidden in the middle third."""
         return depth_points(
             self.truth, self.body, self.camera, corruption(self.truth, 0.0), self.number,
             points=_PIXELS_KEPT, surfaces=(PixelSurface.BODY, PixelSurface.GROUND),
@@ -96,7 +97,7 @@ class Seen:
 
     @functools.cached_property
     def keypoints(self) -> KeypointsFile:
-        """Keypoints in the sensor's own image, noise as wide as in a large one; pose unknown."""
+        """Keypoints in the depth sensor's image, with noise scaled to its size; pose unknown."""
         size = depth_camera().camera_matrix[0, 0] / full_hd_camera().camera_matrix[0, 0]
         hidden = corruption(self.truth, PIXELS * float(size))
         file = keypoints2d(self.truth, self.body, self.camera, hidden, 100 * self.number)
@@ -104,7 +105,7 @@ class Seen:
 
     @functools.cached_property
     def joints(self) -> PositionsFile:
-        """Noisy joints, those below the height hidden for the middle third."""
+        """Noisy joints, those below the height `HIDDEN` hidden in the middle third."""
         seen = joints3d(self.truth, self.body, corruption(self.truth, JOINT_NOISE), self.number)
         return PositionsFile(
             "joints3d", seen.positions.numpy(), seen.visible.numpy(), JOINTS, seen.fps
@@ -112,7 +113,7 @@ class Seen:
 
     @functools.cached_property
     def visible_joints(self) -> Bool[Tensor, "time 22"]:
-        """True joints that the sensor sees."""
+        """Mask of the true joints that the sensor sees."""
         assert self.cloud.truth_visible is not None
         return torch.from_numpy(self.cloud.truth_visible)
 
@@ -120,15 +121,15 @@ class Seen:
 WALKS = (
     ("02_01", 0.2), ("06_01", 0.8), ("12_01", 0.9), ("26_01", 2.2), ("32_01", 0.7), ("35_01", 0.2),
 )  # fmt: skip
-"""Straight walks of six people who are not tested on: clip, and first second."""
+"""Clip and start time (s) of straight walks of six people who are in no test."""
 WALK_FRAMES = 75
 VIEWS = ((3.0, 90.0), (3.6, 0.0), (6.3, 180.0), (6.5, 60.0))
-"""Metres from the sensor to the middle of a way, and degrees between the way and the view back to
-the sensor: 0 comes nearer, 180 goes away."""
+"""Distance (m) from the sensor to the middle of a walk's path, and angle (degrees) between the
+direction of walking and that back to the sensor: 0 comes nearer, 180 goes away."""
 
 
 def view_of(number: int) -> tuple[float, float]:
-    """The view of a walk in the list of walks, one person's after the other's.
+    """Return the view of a walk by its number in the list, which is ordered by person.
 
     The first view changes from person to person, so that some of the walks show all views.
     """
@@ -137,16 +138,16 @@ def view_of(number: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SeenWalk(Seen):
-    """A straight walk before a sensor of known pose; every other person without the ground."""
+    """Simulated depth sensor of known pose before a straight walk, with or without the ground."""
 
     distance: float
-    """Metres from the sensor to the middle of the way."""
+    """Distance (m) from the sensor to the middle of the path."""
     angle: float
-    """Degrees between the way and the view back to the sensor."""
+    """Angle (degrees) between the direction of walking and that back to the sensor."""
 
     @functools.cached_property
     def camera(self) -> Camera:
-        """The depth sensor 1.6 m above the ground."""
+        """The depth sensor, 1.6 m above the ground."""
         pelvis = self.shown.joints[:, 0]
         middle, way = (pelvis[0] + pelvis[-1]) / 2, pelvis[-1] - pelvis[0]
         heading = math.atan2(float(way[1]), float(way[0])) + math.radians(self.angle)
@@ -156,7 +157,7 @@ class SeenWalk(Seen):
 
     @functools.cached_property
     def cloud(self) -> PointsFile:
-        """Nothing is hidden."""
+        """Points of the unhidden body, and of the ground for every other person."""
         ground = (PixelSurface.GROUND,) if self.number // len(VIEWS) % 2 else ()
         return depth_points(
             self.truth, self.body, self.camera, Corruption(), self.number,
@@ -172,11 +173,11 @@ CASES: dict[str, tuple[str, ...]] = {
     "joints": ("joints",),
     "joints + depth": ("joints", "posed"),
 }
-"""Cases, and the files of each. Sensors of 2D keypoints do not know their pose."""
+"""Files of each case. Sensors of 2D keypoints do not know their pose."""
 
 
 def write_files(seen: Seen, case: str, folder: Path) -> list[Path]:
-    """Write the observation files of a case, without anything that only a simulation knows."""
+    """Write the observation files of a case, without the truth that only a simulation knows."""
     names = CASES.get(case, ("posed",))
     paths = [folder / f"{name}.npz" for name in names]
     for name, path in zip(names, paths, strict=True):
@@ -194,7 +195,7 @@ def _file(seen: Seen, name: str) -> ObservationFile:
 
 SEED, FRAMES = 0, 90
 LOST = 0.15
-"""Mean error of joints about the pelvis from which on a window is lost, metres."""
+"""Mean error (m) of joints about the pelvis above which a window is lost."""
 
 COLUMNS: Metrics = {
     "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
@@ -205,11 +206,11 @@ COLUMNS: Metrics = {
 }  # fmt: skip
 
 Row = dict[str, float | None]
-"""Metrics of one window, SI units."""
+"""Metrics of one window in SI units."""
 
 
 def main() -> None:
-    """Simulate, write, read, fit, judge, print and write."""
+    """Simulate, write files, read and fit them, print and write the table."""
     parser = over_windows(__doc__)
     parser.add_argument("--cases", nargs="+", choices=("walks", *CASES), default=["depth"])
     parser.add_argument("--prior", default="humor", help="as in recon.fit")
@@ -238,7 +239,7 @@ def main() -> None:
 
 
 def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
-    """Straight walks, each as often as there are views of it."""
+    """Load straight walks, each as often as there are views of it."""
     listed = replace(splits, windows={"validation": {WALK_FRAMES: WALKS}})
     found = load_windows(corpus, listed, "validation", body, SEED, WALK_FRAMES)
     every = found.take([k for k in range(len(found.names)) for _ in VIEWS])
@@ -249,7 +250,7 @@ def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
 
 
 def fitted(seen: Seen, case: str, prior: str) -> Row:
-    """One window's metrics; none where its files are refused."""
+    """Fit one window's files and return its metrics; empty if the files are refused."""
     with tempfile.TemporaryDirectory() as folder:
         paths = write_files(seen, case, Path(folder))
         began = time.process_time()
@@ -279,7 +280,7 @@ def fitted(seen: Seen, case: str, prior: str) -> Row:
 
 
 def means(case: str, windows: TrueWindows, rows: Sequence[Row]) -> list[Cell]:
-    """A row of the table: how many were lost and refused, and means over subjects of the rest."""
+    """Return a row of the table: numbers of lost and refused windows, and means over subjects."""
     there = [k for k, row in enumerate(rows) if row]
     lost = sum(bool(rows[k]["lost"]) for k in there)
     counts: list[Cell] = [case, len(rows), lost, len(rows) - len(there)]

@@ -1,16 +1,17 @@
-"""Completing sparse scans with `recon.complete`: whole recordings, and cycles of gait.
+"""Completes sparse scans with `recon.complete`: whole recordings, and cycles of gait.
 
     python -m benchmarks.complete CORPUS --part validation --parts recordings --out FOLDER
     python -m benchmarks.complete CORPUS --parts cycles --weights open --each 3 --out FOLDER
 
-Bodies nobody has, in clothes, are scanned (`benchmarks.scans`). Recordings are clips of held-out
-people, at most ten seconds of each: gait, and whatever else they do. Cases are scans a second
-times points, or the 16 landmarks; `cycles of gait` join where few moments are seen. Vertices are
-compared with the true ones at every third frame. A jump is the change of a joint's displacement
-from one frame to the next, as a speed; the largest of a clip, beside the truth's, shows seams.
+Scanned are bodies of random shapes in clothes (`benchmarks.scans`). Recordings are clips of
+held-out people, at most ten seconds of each, of gait and other movements. Cases are scans per
+second times points, or the 16 landmarks; `cycles of gait` join where few frames are seen. Vertices
+are compared with the true ones at every third frame. A jump is the change of a joint's
+displacement from one frame to the next, as a speed; the largest of a clip, beside the truth's,
+shows seams.
 
-Cycles are completed under the prior of cycles of gait, by what of them is seen (Marsot et al.,
-table 1): p points a frame, or f of 100 frames with all points, with the 16 landmarks and without.
+Cycles are completed under the prior of cycles of gait, from the parts that Marsot et al. observe
+(table 1): p points a frame, or f of 100 frames with all points, with the 16 landmarks and without.
 The error is the Chamfer distance to the full scans.
 """
 
@@ -53,17 +54,17 @@ CASES: dict[str, tuple[float, int]] = {
     "50/s x 500": (50, POINTS), "5/s x 500": (5, POINTS), "50/s landmarks": (50, 0),
     "5/s landmarks": (5, 0), "2.5/s landmarks": (2.5, 0),
 }  # fmt: skip
-"""Scans a second, and points of each; no points are landmarks."""
+"""Scans per second, and points of each; zero points means landmarks."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What of a scanned cycle is observed."""
+    """The part of a scanned cycle that is observed."""
 
     points: int | None = None
-    """Points of every frame; None is all, 0 none."""
+    """Number of points of every frame; None is all, 0 none."""
     frames: int | None = None
-    """Frames out of 100; None is all."""
+    """Number of frames out of 100; None is all."""
     landmarks: bool = True
 
 
@@ -81,7 +82,7 @@ SEEN = {
 
 
 def main() -> None:
-    """Scan, complete, judge, print and write."""
+    """Scan, complete, print and write the tables."""
     arguments = over_windows(__doc__)
     parts = ("recordings", "cycles")
     arguments.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
@@ -104,7 +105,7 @@ def main() -> None:
 
 
 def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Table:
-    """Every case over whole recordings, with cycles of gait where few moments are seen."""
+    """Measure every case over whole recordings, with cycles of gait where few frames are seen."""
     scans = {
         clip: scanned(clip, splits.subject(clip), _cut(path), body, points=POINTS + 100)
         for clip, path in files.items()
@@ -136,7 +137,7 @@ def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Ta
 
 
 def thinned(one: ScannedCycle, rate: float, points: int) -> ObservationFile:
-    """A recording of so many moments a second."""
+    """Return a recording with a lower rate (Hz) and fewer points."""
     step = round(FPS / rate)
     if points == 0:
         seen = one.landmarks
@@ -151,7 +152,7 @@ def thinned(one: ScannedCycle, rate: float, points: int) -> ObservationFile:
 def completed(
     seen: Sequence[ObservationFile], prior: WholeRecording | str, weights: str, body: BodyModel
 ) -> Motion:
-    """What `recon.complete` makes of files that say nothing which only a simulation knows."""
+    """Return the motion that `recon.complete` makes of files without truth."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{k}.npz" for k in range(len(seen))]
         for path, file in zip(paths, seen, strict=True):
@@ -160,7 +161,7 @@ def completed(
 
 
 def judged(motion: Motion, truth: Motion, body: BodyModel) -> dict[str, float]:
-    """Distances of vertices, mm, and the largest jumps, m/s."""
+    """Return distances of vertices (mm), and the largest jumps (m/s)."""
     last = min(float(motion.times[-1]), float(truth.times[-1])) + 1e-6
     times = truth.times[truth.times <= last][::JUDGED]
     pair = [body.pose(one.at(times, FPS)).vertices for one in (motion, truth)]
@@ -179,13 +180,13 @@ def judged(motion: Motion, truth: Motion, body: BodyModel) -> dict[str, float]:
 
 
 def _cut(path: Path) -> Motion:
-    """The first ten seconds of a clip, or all of it."""
+    """Return the first ten seconds of a clip, or all of it."""
     motion = recon.load_motion(path).motion
     return motion.window(0, min(motion.frames, round(LONGEST * motion.fps) + 1))
 
 
 class FoundCycle(NamedTuple):
-    """One cycle of gait alone, at 50 Hz, whose name is its clip and when it begins."""
+    """One cycle of gait at 50 Hz, named by its clip and start time."""
 
     name: str
     subject: str
@@ -193,7 +194,7 @@ class FoundCycle(NamedTuple):
 
 
 def found_cycles(corpus: Path, splits: Splits, part: Part) -> Iterator[FoundCycle]:
-    """All cycles of one part on flat ground, clip by clip."""
+    """Yield all gait cycles on flat ground of one part, clip by clip."""
     files = clip_files(corpus)
     for name, own in splits.parts(list(files)).items():
         if own != part or not is_flat(files[name]):
@@ -206,9 +207,9 @@ def found_cycles(corpus: Path, splits: Splits, part: Part) -> Iterator[FoundCycl
 
 
 def chosen(found: Sequence[FoundCycle], each: int) -> list[FoundCycle]:
-    """Cycles, so many of every subject, of clips evenly spread over its names, one of each.
+    """Choose `each` cycles of every subject, one per clip, from clips evenly spread over names.
 
-    From every clip it is the middle cycle, so that nobody chose it by looking.
+    From every clip it is the middle cycle, so that the choice is not biased.
     """
     by_clip: dict[str, list[FoundCycle]] = defaultdict(list)
     for one in found:
@@ -226,7 +227,7 @@ def chosen(found: Sequence[FoundCycle], each: int) -> list[FoundCycle]:
 def cycles(
     found: Sequence[FoundCycle], weights: Sequence[str], apart: Sequence[str], body: BodyModel
 ) -> Table:
-    """Chamfer distances and their deviations over cycles of people who are not apart."""
+    """Measure Chamfer distances over cycles, without people who are set apart."""
     scans = [scanned_cycle(c.name, c.subject, c.motion, body) for c in found
              if c.subject not in apart]  # fmt: skip
     rows: list[list[Cell]] = []
@@ -243,7 +244,7 @@ def cycles(
 
 
 def observed(one: ScannedCycle, shown: Shown) -> list[PointsFile | PositionsFile]:
-    """What of a scanned cycle is seen."""
+    """Return the observed part of a scanned cycle."""
     scans, landmarks = one.scans, one.landmarks
     if shown.frames is not None:
         scans = thinned_frames(scans, shown.frames)
@@ -255,7 +256,7 @@ def observed(one: ScannedCycle, shown: Shown) -> list[PointsFile | PositionsFile
 
 
 def full_scans(motion: Motion, one: ScannedCycle, body: BodyModel) -> float:
-    """Chamfer distance to every third full scan, mm."""
+    """Return the Chamfer distance (mm) to every third full scan."""
     scans = one.scans
     last = min(motion.times[-1].item(), one.truth.times[-1].item()) + 1e-6
     kept = (scans.frame % JUDGED == 0) & (scans.frame / scans.fps <= last)

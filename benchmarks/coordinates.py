@@ -1,10 +1,11 @@
-"""Coordinates that files may have: what is put right, what is asked, and what is missed.
+"""Counts which unknown coordinates of files are put right, asked about, or missed.
 
     python -m benchmarks.coordinates CORPUS --out FOLDER
 
-Ten seconds of the listed clips, with 15 mm of noise, are settled as `recon.fit` settles files;
-nothing is fitted. Good recordings have z up, metres and right-handed axes, and those of points are
-counted twice, once with the legs hidden. Three calibrated views of what is mirrored tell of it.
+Ten seconds of the listed clips, with 15 mm of noise, get their coordinates settled as `recon.fit`
+does with files; nothing is fitted. Good recordings have z up, metres and right-handed axes; those
+of points are counted twice, once with the legs hidden. Three calibrated views are tested for
+mirroring only.
 """
 
 import tempfile
@@ -55,11 +56,11 @@ COLUMNS: list[tuple[str, int | None]] = [
     ("false alarms", 0),
 ]  # fmt: skip
 Settle = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Positions in any coordinates, and what is seen of them, to positions in ours."""
+"""Function that brings seen positions (mask) in any coordinates to metres with z up."""
 
 
 def main() -> None:
-    """Measure, print and write."""
+    """Count over all windows, print and write the table."""
     given = over_windows(__doc__).parse_args()
     body, rng = BodyModel.load(), np.random.default_rng(SEED)
     windows = load_windows(given.corpus, Splits.load(given.splits), given.part, body, SEED)
@@ -83,7 +84,7 @@ def main() -> None:
 
 
 def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np.ndarray, Settle]]:
-    """Every sensor's points of a motion, and how a file of them is settled."""
+    """Yield every sensor's points of a motion, with a function that settles a file of them."""
     posed = body.pose(truth)
     places, _ = match_markers(LABELS)
     skin = posed.points(torch.tensor([landmark(places[label]) for label in LABELS]))
@@ -146,7 +147,10 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
 
 def outcome(points: np.ndarray, A: np.ndarray, seen: np.ndarray, settle: Settle) -> str:
-    """Whether points under a linear map A are brought back, up to a turn about z, or asked for."""
+    """Return whether points under a linear map A come back "right" or "wrong", or were "asked".
+
+    Right are positions in metres with z up, after any rotation about z.
+    """
     try:
         found = settle(points @ A.T, seen)[seen]
     except ReconError:

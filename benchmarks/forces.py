@@ -1,12 +1,13 @@
-"""Estimated forces of the ground beside force plates: walks of people who stepped on them.
+"""Compares estimated ground forces with force plates, in walks of people who stepped on them.
 
     python -m benchmarks.forces OBSERVATIONS --out FOLDER
 
-Markers are converted without the plates. Of every foot that stood alone on a plate: vertical
-force (root mean square, % of the weight), its impulse (%), the centre of pressure (cm, where a
-tenth of the weight presses), and the share of true values within the intervals of 90 %. Numbers
-of a person are means over the stances, the last row of a part is the mean over people. By person,
-`benchmarks/forces.toml` says whom constants were chosen on, and who was measured afterwards.
+Markers are converted without the plates. For every foot that stood alone on a plate, there are the
+errors of vertical force (root mean square, % of the weight), its impulse (%) and the centre of
+pressure (cm, where it carries a tenth of the weight or more), and the share of true values within
+the intervals of 90 %. Numbers of a person are means over the stances, the last row of a part is
+the mean over people. `benchmarks/forces.toml` lists people on whom constants were chosen, and
+people who were measured afterwards.
 """
 
 import tomllib
@@ -50,7 +51,7 @@ def main() -> None:
 
 
 def stances(path: Path, mass: float, body: BodyModel) -> list[np.ndarray]:
-    """Numbers of every foot that stood alone on a plate, in the order of the columns."""
+    """Return the errors of every foot that stood alone on a plate, in the order of the columns."""
     file = recon.convert(path).file
     found = ground_forces(file, body, mass=mass)
     measured = forces_under_feet(read_force_plates(path), found, file.motion)
@@ -65,7 +66,7 @@ def stances(path: Path, mass: float, body: BodyModel) -> list[np.ndarray]:
 
 
 def held(measured: MeasuredForces, found: GroundForces, side: int) -> tuple[float, float, float]:
-    """Percentages of measured values within 90 % intervals: vertical, horizontal, centre."""
+    """Return percentages of values within 90 % intervals: vertical, horizontal, centre."""
     on = measured.known[:, side]
     away = np.abs(found.force.numpy() - measured.force)[on, side]
     inside = away < WITHIN_90 * found.force_std.numpy()[on, side]

@@ -1,11 +1,11 @@
-"""New motions, after HuMoR's Table 1: prediction, diversity, and who stays on its feet.
+"""Evaluates generated motions as HuMoR's Table 1: prediction errors, diversity, and falls.
 
     python -m benchmarks.generation CORPUS --out FOLDER
     python -m benchmarks.generation CORPUS --weights open --samples 50 --out FOLDER
 
-`recon.predict` goes on from the first frame of every listed window, 50 times for 5 s. The first
+`recon.predict` continues from the first frame of every listed window, 50 times for 5 s. The first
 2 s are compared with the window; APD is over the whole 5 s of the samples that stay on their feet.
-`recon.sample` makes 100 motions of 5 s out of nothing.
+`recon.sample` generates 100 motions of 5 s without a given start.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,8 @@ from recon.metrics.generation import displacements, pairwise_distance, stays_on_
 
 SEED, SECONDS, UNCONDITIONED = 0, 5, 100
 TEMPERATURES = {"default": None, "`--temperature 1.3`": 1.3}
-"""1.3 had the least ADE + FDE on validation subjects, among 1, 1.2 and 1.4."""
+"""Sampling temperatures; 1.3 had the least ADE + FDE on validation subjects, among 1, 1.2 and
+1.4."""
 COLUMNS: Metrics = {
     "ade_mean": ("ADE of a sample, mean", 100, 1),
     "ade_of_mean": ("ADE of the samples' mean", 100, 1),
@@ -49,14 +50,14 @@ COLUMNS: Metrics = {
 
 @dataclass(frozen=True)
 class Joints:
-    """What may follow every window's first frame, and which of it stays on its feet."""
+    """Sampled continuations of a window's first frame, and which of them stay on their feet."""
 
     places: Float[Tensor, "samples time 22 3"]
     stays: Bool[Tensor, " samples"]
 
 
 def main() -> None:
-    """Predict, sample, compare and write."""
+    """Predict, sample, print and write the table."""
     arguments = over_windows(__doc__)
     arguments.add_argument("--weights", nargs="+", default=["open"], help="open or files")
     arguments.add_argument("--samples", type=int, default=50)
@@ -91,19 +92,19 @@ def main() -> None:
 def continued(
     recorded: Motion, windows: TrueWindows, number: int, body: recon.BodyModel, **how
 ) -> Joints:
-    """What follows the first frame of a window; of a recording's first frame, its second."""
+    """Predict from a window's first frame; from the second one if it is the recording's first."""
     at = max(start(windows, number), 1 / recorded.fps)
     known = recorded.replace(shape=windows.truth.shape[number])
     return joints_of([m.motion for m in recon.predict(known, seconds=SECONDS, at=at, **how)], body)
 
 
 def start(windows: TrueWindows, number: int) -> float:
-    """Second of the recording at which a window begins."""
+    """Return the time (s) in the recording at which a window begins."""
     return round(float(windows.names[number].rsplit("@", 1)[1]) * FPS) / FPS
 
 
 def joints_of(motions: Sequence[Motion], body: recon.BodyModel) -> Joints:
-    """Joints of motions of one length."""
+    """Return the joints of motions of equal length, and which of these stay on their feet."""
     places = torch.stack([body.pose(motion).joints for motion in motions])
     heights = torch.stack([rest_heights(body, motion.shape) for motion in motions])
     return Joints(places, stays_on_its_feet(places, heights, FPS))
@@ -112,7 +113,7 @@ def joints_of(motions: Sequence[Motion], body: recon.BodyModel) -> Joints:
 def sliding(
     recorded: Motion, windows: TrueWindows, number: int, body: recon.BodyModel
 ) -> Float[Tensor, "1 time 22 3"]:
-    """The body as it stands, sliding on with the pelvis' horizontal velocity."""
+    """Return the first posture, moving on with the pelvis' horizontal velocity, as a baseline."""
     frame = max(round(start(windows, number) * recorded.fps), 1)
     pelvis = recorded.translation[frame - 1 : frame + 1]
     velocity = (pelvis[1] - pelvis[0]) * recorded.fps * pelvis.new_tensor([1.0, 1.0, 0.0])
@@ -127,7 +128,7 @@ def _means(found: Sequence[Joints], windows: TrueWindows, body: recon.BodyModel)
 
 
 def predicted(found: Joints, truth: Float[Tensor, "time 22 3"]) -> Row:
-    """Columns of one window, SI units; the given first frame does not count."""
+    """Return the metrics of one window in SI units; the given first frame does not count."""
     some = found.places[:, 1:FRAMES].to(truth)
     away = displacements(some, truth[1:])
     average = away.mean(-1)
@@ -143,12 +144,12 @@ def predicted(found: Joints, truth: Float[Tensor, "time 22 3"]) -> Row:
 
 
 def speed(joints: Float[Tensor, "*samples time 22 3"]) -> float | None:
-    """Mean speed of the joints, m/s."""
+    """Return the mean speed of the joints (m/s)."""
     return errors.mean(joints.diff(dim=-3).norm(dim=-1) * FPS)
 
 
 def of_feet(found: Joints) -> list[Cell]:
-    """Share of motions out of nothing that stay on their feet, %, and their mean speed, m/s."""
+    """Return the share (%) of sampled motions that stay on their feet, and their speed (m/s)."""
     return [number(found.stays.double().mean().item(), 100), number(speed(found.places))]
 
 

@@ -1,12 +1,12 @@
-"""Points in space: noisy joints, hidden points, gaps and upper bodies, as `recon bench` has them.
+"""Measures fits to noisy joints, hidden points, gaps and upper bodies, as `recon bench` does.
 
     python -m benchmarks.humor CORPUS --out FOLDER
     python -m benchmarks.humor CORPUS --part validation --only 6
 
-The protocols are those of `recon.bench` (docs/bench.md) on all listed windows, those of people
-whose recordings are not free for commercial use with them. Smoothers and the pose prior stand
-beside collocation under HuMoR; `compared` takes the last two window by window, and `kinds` sorts
-the windows by what the description of each recording says is done in it.
+The protocols are those of `recon.bench` (docs/bench.md) on all listed windows, including people
+whose recordings are not free for commercial use. Smoothers and the pose prior are compared with
+collocation under HuMoR; the table `compared` has the difference of the last two window by window,
+and `kinds` groups the windows by the action that the description of each recording names.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ PROTOCOLS = {
     "in-betweening": "gap",
     "upper-body": "upper-body",
 }
-"""Tables, and the protocols of `recon.bench`."""
+"""Protocols of `recon.bench`, by the names of the tables."""
 SMOOTHERS = {"butterworth": "Butterworth, 2 Hz", "least-squares": "penalised least squares"}
 POSE, HUMOR = "stages 1-2 (`--prior pose`)", "**collocation, HuMoR (the default)**"
 COLUMNS: Mapping[str, Metrics] = {
@@ -61,11 +61,11 @@ COMPARED = {
     "upper-body": {"joints_all": "joints", "joints_legs": "legs"},
 }  # fmt: skip
 MAIN = {"noisy-joints": "joints_all", "hidden-points": "observed_hidden"}
-"""The metric that stands for a protocol by subject and by kind of motion."""
+"""Metric that represents a protocol in tables by kind of motion."""
 
 
 def main() -> None:
-    """Fit all windows in all protocols, print and write."""
+    """Fit all windows in all protocols, print and write the tables."""
     arguments = over_windows(__doc__)
     arguments.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
     given = arguments.parse_args()
@@ -92,7 +92,7 @@ def main() -> None:
 
 
 def means(found: BenchTable, metrics: Metrics) -> Table:
-    """Every method's means over subjects, with intervals."""
+    """Build a table of every method's means over subjects, with intervals."""
     rows: list[list[Cell]] = []
     for method, values in found.values.items():
         every = {k: found.mean(method, k) if k in values else None for k in metrics}
@@ -102,7 +102,7 @@ def means(found: BenchTable, metrics: Metrics) -> Table:
 
 
 def compared(found: Mapping[str, BenchTable]) -> Table:
-    """Collocation less stages 1-2, window by window."""
+    """Build a table of errors of collocation minus those of the pose prior, per window."""
     rows: list[list[Cell]] = []
     for name, own in found.items():
         kept = [i for i, who in enumerate(own.subjects) if who in own.counted]
@@ -117,7 +117,7 @@ def compared(found: Mapping[str, BenchTable]) -> Table:
 
 
 def counted(found: BenchTable) -> Table:
-    """How many windows there are, by subject."""
+    """Build a table with the number of windows of every subject."""
     people = sorted(set(found.subjects), key=lambda who: (who not in found.counted, who))
     counts = [found.subjects.count(who) for who in people]
     heads = [who if who in found.counted else f"{who}, apart" for who in people]
@@ -125,7 +125,7 @@ def counted(found: BenchTable) -> Table:
 
 
 def kinds(found: Mapping[str, BenchTable], told: Mapping[str, str]) -> Table:
-    """Every kind of motion, the easiest first, with intervals over its clips."""
+    """Build a table of errors by kind of motion, the easiest first, with intervals over clips."""
     names, subjects = found["noisy-joints"].names, found["noisy-joints"].subjects
     clips = [name.rsplit("@", 1)[0] for name in names]
     own = [kind_of(told[clip]) for clip in clips]

@@ -1,15 +1,16 @@
-"""Markers of real trials named again, after their names are removed and their order is shuffled.
+"""Measures how well markers of real trials are named after their names are removed.
 
     python -m benchmarks.marker_names OBSERVATIONS --out FOLDER
 
-Every marker loses about 5 % of its frames in gaps of up to half a second, columns are shuffled in
-every second, and 5 % ghosts are added, tracks of up to half a second within 30 cm of a marker.
-F1 is of all points (a marker in a frame): right is a point with its own name; wrong is another
-name, or any on a ghost; missed is a point of a marker without its name. The set's table has the
-labels of the trial, one of each place on the body. Time is CPU time over that of converting the
-trial with its names. In the trial with its names two markers change over for 0.1 to 1 s, eight
-times: an exchange is found where most of its points get their names back by naming the trial like
-itself; false are other points that lose theirs. `benchmarks/marker_names.toml` lists the trials.
+Every marker loses about 5 % of its frames in gaps of up to half a second, columns are shuffled
+every second, and 5 % ghosts are added, which are tracks of up to half a second within 30 cm of a
+marker. F1 is over all points (a marker in a frame): right is a point with its own name; wrong is
+one with another name, or a ghost with any; missed is a marker's point without its name. The set's
+table has the labels of the trial, one of each place on the body. Time is CPU time over that of
+converting the trial with its names. In the trial with its names two markers are exchanged for 0.1
+to 1 s, eight times: an exchange is found if most of its points get their names back by naming the
+trial like itself; false are other points that lose theirs. `benchmarks/marker_names.toml` lists
+the trials.
 """
 
 import json
@@ -41,7 +42,7 @@ COLUMNS: list[tuple[str, int | None]] = [
 
 
 def main() -> None:
-    """Shuffle, name, compare, print and write."""
+    """Shuffle and name the markers of every trial, print and write the table."""
     asked = parser(__doc__, "observations")
     asked.add_argument("--part", choices=("develop", "report"), default="report")
     asked.add_argument("--most", type=int, default=2, help="trials of a person")
@@ -62,7 +63,7 @@ def main() -> None:
 
 
 def measured(folder: Path, person: Mapping[str, Any], trial: Mapping[str, Any]) -> list[float]:
-    """F1 and relative time by a named trial, and by the set; NaN where there is no named trial."""
+    """Return F1 and relative time by a named trial (else NaN) and by the set, and exchanges."""
     true = markers_of(folder / trial["path"], trial.get("seconds"))
     unnamed, owner = shuffled(true, np.random.default_rng(0))
     began = process_time()
@@ -83,7 +84,7 @@ def measured(folder: Path, person: Mapping[str, Any], trial: Mapping[str, Any]) 
 
 
 def exchanges(true: MarkerRecording, random: np.random.Generator) -> tuple[float, float]:
-    """Percentages of exchanged names put right, and of other points that lost their own name."""
+    """Return percentages of exchanged names put right, and of other names that were lost."""
     frames, count = true.visible.shape
     owner = np.where(true.visible, np.arange(count), -1)
     x = true.positions.copy()
@@ -110,7 +111,7 @@ def exchanges(true: MarkerRecording, random: np.random.Generator) -> tuple[float
 
 
 def markers_of(path: Path, seconds: list[float] | None) -> MarkerRecording:
-    """Markers of known labels, one of each place, in some seconds."""
+    """Read markers of known labels, one of each place on the body, in some seconds."""
     read = read_packed(path) if path.name.endswith(".i4.xz") else read_c3d(path)
     names = [read.marker_names[k] for k in np.flatnonzero(read.visible.any(0))]
     places = {place: name for name, place in reversed(match_markers(names)[0].items())}
@@ -123,7 +124,7 @@ def markers_of(path: Path, seconds: list[float] | None) -> MarkerRecording:
 def shuffled(
     true: MarkerRecording, random: np.random.Generator
 ) -> tuple[MarkerRecording, np.ndarray]:
-    """The recording without names, and whose every point is: a marker's number, -1 of ghosts."""
+    """Remove names; also return every point's true owner: a marker's number, -1 for ghosts."""
     frames, count = true.visible.shape
     longest = max(2, round(LONGEST_S * true.fps))
     seen = true.visible.copy()
@@ -162,7 +163,7 @@ def shuffled(
 
 
 def f1(unnamed: MarkerRecording, owner: np.ndarray, true: MarkerRecording, **way: Any) -> float:
-    """F1 over points, once they are named."""
+    """Name the markers, and return F1 over points."""
     found = recon.label(unnamed, **way)
     right = wrong = 0
     for k, name in enumerate(found.recording.marker_names):

@@ -1,11 +1,11 @@
-"""Mutation testing: which small faults in a module do its tests notice?
+"""Mutation testing: counts the small faults in modules that their tests notice.
 
     python -m benchmarks.mutants --out benchmarks/results
 
 Every module of `MODULES` gets a sample of the faults of `benchmarks.mutation`, one at a time, and
-its tests are run on it until one fails. Each run is a fork of this process, into which the large
-libraries are imported before; a module's source is exchanged while it is imported, nothing on disk
-is touched.
+its tests run with it until one fails. Each run is a fork of this process, in which the large
+libraries are already imported; a module's source is replaced while it is imported, and nothing on
+disk is changed.
 """
 
 import argparse
@@ -49,13 +49,14 @@ MODULES = {
     ),
     "recon/solver/lbfgs.py": ("tests/solver/test_lbfgs.py",),
 }  # fmt: skip
-"""Modules and the tests that answer for them."""
+"""Modules that get faults, and the tests that are run for each."""
 _LIBRARIES = (
     "numpy", "torch", "scipy.optimize", "scipy.spatial", "cv2", "beartype", "jaxtyping",
     "hypothesis", "pytest", "roma",
 )  # fmt: skip
-_PATIENCE = 5.0
-"""Factor of the tests' own CPU seconds, after which a fault counts as noticed: it never ends."""
+_MAX_TIME_RATIO = 5.0
+"""Ratio to the tests' own CPU seconds after which a fault counts as noticed, as in endless
+loops."""
 _ROOT = Path(__file__).parents[1]
 
 
@@ -82,7 +83,7 @@ def main() -> None:
 
 
 def _judge(path: str, each: int, seed: int) -> dict:
-    """How many of a module's sampled faults its tests notice; those that survive are printed."""
+    """Count the sampled faults of a module that its tests notice; print each result."""
     source = (_ROOT / path).read_text()
     every = places(source)
     some = random.Random(f"{seed} {path}").sample(every, min(each, len(every)))
@@ -92,7 +93,7 @@ def _judge(path: str, each: int, seed: int) -> dict:
         raise SystemExit(f"{path}: its tests fail without any fault ({', '.join(MODULES[path])})")
     killed = 0
     for one in chosen:
-        code, seconds = _run(path, one.source, MODULES[path], _PATIENCE * limit + 10)
+        code, seconds = _run(path, one.source, MODULES[path], _MAX_TIME_RATIO * limit + 10)
         killed += code != 0
         print(f"{path}:{one.line} {one.operator}: {one.before[:60]!r} -> {one.after[:60]!r}",
               "survived" if code == 0 else "killed", f"{seconds:.1f} s", flush=True)  # fmt: skip
@@ -100,7 +101,7 @@ def _judge(path: str, each: int, seed: int) -> dict:
 
 
 def _run(path: str, source: str | None, tests: tuple[str, ...], limit: float) -> tuple[int, float]:
-    """Exit code of the tests on a source, zero where all pass, and their CPU seconds."""
+    """Run tests with a module's source; return exit code (zero if all pass) and CPU seconds."""
     child = os.fork()
     if child == 0:
         os._exit(_tested(path, source, tests, limit))
@@ -128,7 +129,7 @@ def _tested(path: str, source: str | None, tests: tuple[str, ...], limit: float)
 
 
 def _exchange(path: Path, source: str) -> None:
-    """Have the import system read another source for one file, and no compiled one."""
+    """Make the import system read another source for one file, and no compiled one."""
     loader = importlib.machinery.SourceFileLoader
     stats, data = loader.path_stats, loader.get_data
 

@@ -1,4 +1,4 @@
-"""Small faults in a module's source: the standard operators of mutation testing."""
+"""Makes small faults in a module's source: the standard operators of mutation testing."""
 
 import ast
 import copy
@@ -21,12 +21,12 @@ _CALLED = {
     "maximum": "minimum", "floor": "ceil", "ceil": "floor", "mT": "T", "zeros": "ones",
     "zeros_like": "ones_like", "ones": "zeros", "append": "clear", "sum": "mean",
 }  # fmt: skip
-"""Functions and methods that are mistaken for each other."""
+"""Functions and methods that programmers mistake for each other."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One fault: where it is, what it changes, and the source with it."""
+    """One fault: its line, the changed code before and after, and the whole changed source."""
 
     line: int
     operator: str
@@ -36,20 +36,20 @@ class Mutant:
 
 
 def places(source: str) -> list[tuple[int, str]]:
-    """Places of possible faults, and the operator that makes each, in the order of the source.
+    """List the possible faults of a source: index of the syntax node, and name of the operator.
 
-    Docstrings, annotations, decorators, imports and what a `raise` says are left as they are.
+    Docstrings, annotations, decorators, imports and `raise` statements are not changed.
     """
     return [
         (number, name)
-        for number, node in enumerate(_places(ast.parse(source)))
+        for number, node in enumerate(_changeable(ast.parse(source)))
         for name, change in _OPERATORS.items()
         if change(_copied(node))
     ]
 
 
 def _copied(node: ast.AST) -> ast.AST:
-    """A copy that an operator may change: operators reach two levels deep."""
+    """Copy a syntax node two levels deep, as far as operators reach, so that it may be changed."""
     twin = copy.copy(node)
     for name, value in ast.iter_fields(node):
         setattr(twin, name, copy.copy(value))
@@ -57,18 +57,18 @@ def _copied(node: ast.AST) -> ast.AST:
 
 
 def mutant(source: str, place: tuple[int, str]) -> Mutant:
-    """The fault that an operator makes at a place."""
+    """Apply an operator to a source at a place that `places` gave."""
     number, name = place
     tree = ast.parse(source)
-    node = list(_places(tree))[number]
+    node = list(_changeable(tree))[number]
     before = ast.unparse(node)
     _OPERATORS[name](node)
     ast.fix_missing_locations(tree)
     return Mutant(node.lineno, name, before, ast.unparse(node), ast.unparse(tree))
 
 
-def _places(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
-    """Statements and expressions that may be changed."""
+def _changeable(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
+    """Yield statements and expressions that may be changed."""
     for child in ast.iter_child_nodes(tree):
         if isinstance(child, ast.Raise | ast.Import | ast.ImportFrom | ast.JoinedStr | ast.arg):
             continue
@@ -80,11 +80,11 @@ def _places(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
         elif isinstance(child, ast.ClassDef):  # without its decorators
             inside = child.body
         if inside is not None:
-            yield from _places(ast.Module([one for one in inside if one is not None], []))
+            yield from _changeable(ast.Module([one for one in inside if one is not None], []))
             continue
         if isinstance(child, ast.expr | ast.stmt):
             yield child
-        yield from _places(child)
+        yield from _changeable(child)
 
 
 def _comparison(node: ast.AST) -> bool:
@@ -123,7 +123,7 @@ def _number(node: ast.AST) -> bool:
 
 
 def _sign(node: ast.AST) -> bool:
-    """`-x` becomes `x`, `not x` becomes `x`."""
+    """Change `-x` and `not x` to `x`."""
     if not isinstance(node, ast.UnaryOp) or not isinstance(
         node.op, ast.USub | ast.Not | ast.Invert
     ):
@@ -152,7 +152,7 @@ def _function(node: ast.AST) -> bool:
 
 
 def _left_out(node: ast.AST) -> bool:
-    """A call whose value nobody takes."""
+    """Leave out a call whose value is not used."""
     if not isinstance(node, ast.Expr) or not isinstance(node.value, ast.Call):
         return False
     node.value = ast.Constant(None)

@@ -1,9 +1,9 @@
-"""What benchmarks share: the listed windows, means with intervals, and tables with their source.
+"""Code that benchmarks share: listed windows, means with intervals, and tables with sources.
 
-A table is a file of aggregates in `benchmarks/results`: who measured it (`about`: command, commit,
-date, seed, data, versions, machine), its columns with their digits, and its rows. A cell is a
-number, a mean with the ends of its 95 % interval, a text, or null. `python -m benchmarks.tables`
-writes it into the documents.
+A table is a file of aggregates in `benchmarks/results`: the run that measured it (`about`:
+command, commit, date, seed, data, versions, machine), its columns with their digits, and its rows.
+A cell is a number, a mean with the ends of its 95 % interval, a text, or null. `python -m
+benchmarks.tables` writes it into the documents.
 """
 
 import argparse
@@ -32,19 +32,19 @@ from recon.body.model import BodyModel
 from recon.formats.replacing import files_checksum, write_text
 
 ROOT = Path(__file__).parents[1]
-"""The source checkout."""
+"""Folder of the source checkout."""
 RESULTS = Path(__file__).parent / "results"
-"""The committed tables."""
+"""Folder of the committed tables."""
 NINE_TENTHS = 1.645
-"""Standard deviations within which nine of ten normal errors lie."""
+"""Number of standard deviations within which 90 % of normal errors lie."""
 DASH = "–"
-"""Cell of what was not measured."""
+"""Text of a cell without a value."""
 
 Cell = float | int | str | None | list[float]
 Sources = Mapping[str, tuple[Path, Iterable[Path]]]
 """Data that a table was measured on: its name in commands, its folder, and the files read."""
 Metrics = Mapping[str, tuple[str, float, int]]
-"""Columns by metric: heading, factor from SI units to the heading's, and digits."""
+"""Columns by metric: heading, factor from SI units to the heading's unit, and digits."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Table:
     """Aggregates of one or several runs, as documents show them."""
 
     columns: Sequence[tuple[str, int | None]]
-    """Headings and digits; the first column holds the names of the rows, None is text."""
+    """Headings, and digits of numbers (None for text); the first column has the rows' names."""
     rows: Sequence[Sequence[Cell]]
     about: Sequence[Mapping[str, Any]] = ()
-    """A record for every run; see `about`."""
+    """A record of every run that measured the table; see `about`."""
     note: str = ""
-    """A line below the table."""
+    """Text below the table."""
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
@@ -79,7 +79,7 @@ class Table:
         write_text(path, "{\n" + ",\n".join(said) + "\n}\n")
 
     def markdown(self) -> str:
-        """The table, its note, and where its numbers are from."""
+        """Return the table as Markdown, with its note and the source of its numbers."""
         digits = [own for _, own in self.columns]
         lines: list[list[str]] = [[heading for heading, _ in self.columns]]
         lines.append(["---", *["--:"] * (len(self.columns) - 1)])
@@ -91,7 +91,7 @@ class Table:
 
 
 def shown(cell: Cell, digits: int | None) -> str:
-    """A cell as people read it."""
+    """Format a cell for the documents."""
     if cell is None:
         return DASH
     if isinstance(cell, str) or digits is None:
@@ -109,7 +109,7 @@ def _lines(value: Any) -> str:
 
 
 def _source(about: Mapping[str, Any]) -> str:
-    """Benchmark, commit and date; the result file has the whole command."""
+    """Return benchmark, commit and date of a run; the result file has the whole command."""
     module = about["command"].split()[2].removeprefix("benchmarks.")
     if about.get("commit") is None:
         return f"`{module}`, version {about['recon']}"
@@ -117,12 +117,12 @@ def _source(about: Mapping[str, Any]) -> str:
 
 
 def number(value: float | None, factor: float = 1.0) -> float | None:
-    """A number of nine digits, in the unit of its column."""
+    """Return a number with nine digits, in the unit of its column."""
     return None if value is None else float(f"{value * factor:.9g}")
 
 
 def spread(found: MeanWithInterval | None, factor: float = 1.0) -> Cell:
-    """A mean and its interval; the mean alone where all draws are alike."""
+    """Return a mean with its interval as a cell; the mean alone if the interval is empty."""
     if found is None:
         return None
     mean, low, high = (float(f"{v * factor:.9g}") for v in (found.mean, found.low, found.high))
@@ -132,12 +132,12 @@ def spread(found: MeanWithInterval | None, factor: float = 1.0) -> Cell:
 def cells(
     rows: Sequence[Mapping[str, float | None]], windows: TrueWindows, metrics: Metrics
 ) -> list[Cell]:
-    """Means over subjects with their intervals, a cell for every metric.
+    """Return means over subjects with their intervals, a cell for every metric.
 
     Args:
-        rows: of every window, SI units by metric.
-        windows: where they were measured; subjects apart count in no mean.
-        metrics: columns.
+        rows: metrics of every window, SI units.
+        windows: the windows; subjects that are set apart count in no mean.
+        metrics: columns of the table.
     """
     return [
         spread(mean_of([row.get(key) for row in rows], windows), factor)
@@ -146,7 +146,7 @@ def cells(
 
 
 def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInterval | None:
-    """The mean over subjects; None where no window has a value."""
+    """Return the mean over subjects; None where no window has a value."""
     kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
@@ -156,12 +156,12 @@ def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInt
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:
-    """Headings and digits, those of the rows' names in front."""
+    """Return headings and digits of the columns, after a first column for the rows' names."""
     return [(first, None), *((heading, digits) for heading, _, digits in metrics.values())]
 
 
 def evenly(windows: TrueWindows, most: int | None) -> list[int]:
-    """Numbers of so many windows, evenly from the list; all when there are no more."""
+    """Choose indices of at most so many windows, spread evenly over the list."""
     count = len(windows.names)
     if most is None or most >= count:
         return list(range(count))
@@ -169,7 +169,7 @@ def evenly(windows: TrueWindows, most: int | None) -> list[int]:
 
 
 def parser(about: str | None, *folders: str) -> argparse.ArgumentParser:
-    """The command line of a benchmark: its folders of data, and `--out` for its tables."""
+    """Return the command line of a benchmark: its folders of data, and `--out` for its tables."""
     made = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -188,7 +188,7 @@ _FOLDERS = {
 
 
 def over_windows(about: str | None) -> argparse.ArgumentParser:
-    """The command line of benchmarks over the listed windows: corpus, splits, part, number."""
+    """Return the command line of benchmarks on listed windows: corpus, splits, part, number."""
     made = parser(about, "corpus")
     made.add_argument("--splits", type=Path, default=SPLITS)
     made.add_argument("--part", choices=("test", "validation"), default="test")
@@ -199,7 +199,7 @@ def over_windows(about: str | None) -> argparse.ArgumentParser:
 def listed_windows(
     given: argparse.Namespace, body: BodyModel, frames: int = FRAMES
 ) -> TrueWindows:
-    """The windows that a command line of `over_windows` chooses, as many as `--only` says."""
+    """Load the windows that a command line of `over_windows` chooses."""
     listed = Splits.load(given.splits)
     windows = load_windows(given.corpus, listed, given.part, body, frames=frames)
     return windows.take(evenly(windows, given.only))
@@ -208,7 +208,7 @@ def listed_windows(
 def tell(
     out: Path | None, seed: int | None, sources: Sources, tables: Mapping[str, Table]
 ) -> None:
-    """Print tables, and write them to a folder with what is known of this run."""
+    """Print tables, and write them to a folder with a record of this run."""
     run = [] if out is None else [about(seed, sources)]
     for name, table in tables.items():
         done = Table(table.columns, table.rows, run, table.note)
@@ -218,7 +218,7 @@ def tell(
 
 
 def demo_clip(frames: int) -> Motion:
-    """The first frames of the bundled demo, at 30 Hz."""
+    """Return the first frames of the bundled demo, at 30 Hz."""
     demo = Path(recon.__file__).parent / "assets" / "demo.npz"
     return recon.load_motion(demo).motion.resample(30.0).window(0, frames)
 
@@ -226,15 +226,15 @@ def demo_clip(frames: int) -> Motion:
 def tell_of(
     given: argparse.Namespace, seed: int, tables: Mapping[str, Table], files: Iterable[Path] = ()
 ) -> None:
-    """`tell` of a corpus, of which some files were read; default: all of its motions."""
+    """Call `tell` for a corpus, of which some files were read; default: all of its motions."""
     read = tuple(files) or given.corpus.rglob("*.npz")
     tell(given.out, seed, {"CORPUS": (given.corpus, read)}, tables)
 
 
 def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:
-    """The folder of real recordings, of which some were read; default: all files in it.
+    """Describe the folder of real recordings, of which some were read; default: all.
 
-    A name may go on with `::` and what is read inside the file, and may be that of a folder.
+    A name may be that of a folder, or be followed by `::` and the part that is read of a file.
     """
     chosen = [folder / name.split("::")[0] for name in names] or [folder]
     files = [f for path in chosen for f in ([path] if path.is_file() else path.rglob("*"))]
@@ -242,7 +242,7 @@ def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:
 
 
 def about(seed: int | None, sources: Sources) -> dict[str, Any]:
-    """What a result keeps of the command that runs: code, data, versions and machine."""
+    """Return a record of the running command: code, data, versions and machine."""
     return {
         "command": command_line(sys.argv, _module(), sources),
         "commit": commit(ROOT),
@@ -258,9 +258,9 @@ def about(seed: int | None, sources: Sources) -> dict[str, Any]:
 
 
 def command_line(argv: list[str], module: str, sources: Sources) -> str:
-    """The command that runs, with names in place of the paths of this machine.
+    """Return the running command, with names in place of the paths of this machine.
 
-    Folders of data are called by the names of their sources; a path inside the checkout is
+    Folders of data are replaced by the names of their sources; a path inside the checkout is
     relative to it, and of any other absolute path only the last part is kept.
     """
     folders = {folder.resolve(): name for name, (folder, _) in sources.items()}
@@ -277,7 +277,7 @@ def command_line(argv: list[str], module: str, sources: Sources) -> str:
 
 
 def commit(folder: Path) -> str | None:
-    """The commit that is checked out, with `+` where tracked files differ; None without git."""
+    """Return the checked-out commit, with `+` where tracked files differ; None without git."""
     try:
         head, changed = (
             subprocess.run(
@@ -291,7 +291,7 @@ def commit(folder: Path) -> str | None:
 
 
 def machine() -> str:
-    """Architecture, model of the processor where the system tells it, and number of cores."""
+    """Return architecture, processor model (if the system tells it), and number of cores."""
     info = Path("/proc/cpuinfo")
     found = (
         re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.M) if info.exists() else None
@@ -301,13 +301,13 @@ def machine() -> str:
 
 
 def _module() -> str:
-    """The module that runs as a command."""
+    """Return the name of the module that runs as a command."""
     spec = getattr(sys.modules.get("__main__"), "__spec__", None)
     name = Path(sys.argv[0]).stem if spec is None else spec.name
     return name.removesuffix(".__main__")
 
 
 def _said(folder: Path, files: Iterable[Path]) -> dict[str, object]:
-    """How many files were read, and the checksum of their names and contents."""
+    """Return the number of files, and the checksum of their names and contents."""
     unique = sorted(set(files))
     return {"files": len(unique), "checksum": files_checksum(unique, folder)}

@@ -1,18 +1,19 @@
-"""Real marker recordings: lower markers hidden and given back, and every fifth one predicted.
+"""Predicts hidden markers of real recordings: all lower ones, and every fifth one.
 
     python -m benchmarks.real OBSERVATIONS --out FOLDER
     python -m benchmarks.real OBSERVATIONS --only cmu_c3d
 
 `hidden_markers.toml` lists the runs, walks and jumps, and those that are measured apart. Markers
-below 0.9 m are hidden in every frame, as by a table; the fit sees the others. What is measured is
-how far the hidden markers are from their place on the body that is given back, a centimetre or two
-of which is how far any marker sits from its nominal landmark: the row of a fit that saw everything
-tells that floor. At most three seconds of a recording, at 30 Hz or a little more.
+below 0.9 m are hidden in every frame, as by a table; the fit sees the others. The error is the
+distance of the hidden markers from their place on the fitted body. One or two centimetres of it
+are the distance of any marker from its nominal landmark, as the row of a fit to all markers shows.
+At most three seconds of a recording are used, at 30 Hz or a little more.
 
-`markers` leaves out every fifth known marker of a conversion, five times, in all frames. A marker
-that is left out has no fitted offset from its landmark: that is the mean over every tenth frame of
-the body that was fitted without it, and the error is measured in the other frames. `without its
-offset` has no offset but the 9.5 mm from skin to marker centre. Millimetres, at most 200 frames.
+The table `markers` leaves out every fifth known marker of a conversion, five times, in all frames.
+A marker that is left out has no fitted offset from its landmark: the offset is its mean over every
+tenth frame of the body that was fitted without it, and the error is measured in the other frames.
+`without its offset` uses no offset but the 9.5 mm from skin to marker centre. Errors are in
+millimetres, over at most 200 frames.
 """
 
 import tomllib
@@ -37,8 +38,8 @@ from recon.mocap.recording import MarkerRecording
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02
-"""Length of a clip; height below which markers are hidden; and the standard deviation of a marker
-against its landmark, which skin and the hand that taped it make. Seconds and metres."""
+"""Length (s) of a clip; height (m) below which markers are hidden; and standard deviation (m) of a
+marker from its landmark, by skin motion and placement."""
 POSE, HUMOR, EVERYTHING = "stages 1-2", "collocation", "nothing hidden"
 KINDS = ("runs", "walks", "jumps")
 FOLDS, FRAMES, OFFSET_EVERY = 5, 200, 10
@@ -52,32 +53,32 @@ PREDICTED = (
     "nimblephysics/opencap_s6_walking1.trc", "mocaptoolbox/mcdemodata.mat::dance1",
     "mocaptoolbox/mcdemodata.mat::walk1",
 )  # fmt: skip
-"""One or more recordings of every marker set."""
+"""Recordings of which every fifth marker is predicted, one or more of every marker set."""
 
 
 @dataclass(frozen=True)
 class HiddenMarkers:
-    """A recording of which the lower markers are hidden."""
+    """A listed recording whose lower markers are hidden."""
 
     row: str
-    """The mean it counts in (runs, walks or jumps), or `apart`."""
+    """Row of the table in whose mean it counts (runs, walks or jumps), or `apart`."""
     path: str
-    """Below the folder of observations."""
+    """Path below the folder of observations."""
     person: str
     first: float = 0.0
-    """Second of the recording at which the clip begins."""
+    """Start of the clip in the recording (s)."""
     why: str = ""
-    """The reason for being apart."""
+    """Reason why it counts in no mean."""
 
 
 def load_list(path: Path = LIST) -> tuple[HiddenMarkers, ...]:
-    """The listed recordings, row after row."""
+    """Load the listed recordings, row after row."""
     table = tomllib.loads(path.read_text(encoding="utf-8"))
     return tuple(HiddenMarkers(row=row, **own) for row, rows in table.items() for own in rows)
 
 
 def main() -> None:
-    """Hide, fit, print and write."""
+    """Hide markers, fit, print and write the tables."""
     arguments = parser(__doc__, "observations")
     arguments.add_argument("--weights", default="open", help="of HuMoR: open or a file")
     arguments.add_argument("--only", nargs="*", default=[""], help="paths that hold one of these")
@@ -98,9 +99,9 @@ def main() -> None:
 
 
 def given_back(seen: Markers3D, weights: str, body: BodyModel) -> dict[str, float]:
-    """Mean errors of the hidden markers by prior, from the upper ones, centimetres.
+    """Return the mean errors (cm) of the hidden markers, predicted from the upper ones, by prior.
 
-    Last comes the pose prior's fit to all markers. Nothing is repaired.
+    The last entry is the pose prior's fit to all markers. Nothing is repaired.
     """
     hidden = lower(seen)
     spoilt = seen.replace(visible=seen.visible & ~hidden)
@@ -118,12 +119,12 @@ def given_back(seen: Markers3D, weights: str, body: BodyModel) -> dict[str, floa
 
 
 def lower(seen: Markers3D) -> Bool[Tensor, "1 time markers"]:
-    """Which positions are hidden."""
+    """Return a mask of the positions that are hidden."""
     return seen.visible & (seen.positions[..., 2] < HIDDEN_BELOW)
 
 
 def observation(path: Path, body: BodyModel, first: float = 0.0) -> Markers3D:
-    """Some seconds of a recording's known markers, thinned to 30 Hz or a little more."""
+    """Read a part of a recording's known markers, thinned to 30 Hz or a little more."""
     recording = read_recording(path)
     assert isinstance(recording, MarkerRecording)
     markers = full_body_markers(recording, body)
@@ -140,7 +141,7 @@ def observation(path: Path, body: BodyModel, first: float = 0.0) -> Markers3D:
 
 
 def means(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
-    """Mean errors over people of each kind of motion, with 95 % intervals."""
+    """Build a table of mean errors over people by kind of motion, with 95 % intervals."""
     rows: list[list[Cell]] = []
     for kind in KINDS:
         own = {one: found for one, found in errors.items() if one.row == kind}
@@ -158,9 +159,9 @@ def means(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
 def over(
     errors: Mapping[HiddenMarkers, Mapping[str, float]], label: str, other: str | None = None
 ) -> MeanWithInterval:
-    """The mean over people of an error, or of its ratio to another.
+    """Return the mean over people of an error, or of its ratio to another.
 
-    People are drawn again where there are several, and their recordings.
+    Its interval is by resampling recordings, and people where there are several.
     """
     by_person: dict[str, list[tuple[float, float]]] = {}
     for one, found in errors.items():
@@ -171,7 +172,7 @@ def over(
 
 
 def recordings(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
-    """Each recording, those of no mean last."""
+    """Build a table of each recording's errors, those that count in no mean last."""
     rows: list[list[Cell]] = [
         [one.path, one.person, one.row + (f": {one.why}" if one.why else ""),
          *(number(found[label]) for label in (POSE, HUMOR, EVERYTHING))]
@@ -184,7 +185,7 @@ def recordings(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
 
 
 def predicted(observations: Path, names: Sequence[str], body: BodyModel) -> Table:
-    """Each fifth marker left out and predicted."""
+    """Build a table of errors of markers that were left out, every fifth at a time."""
     rows: list[list[Cell]] = []
     for name in names:
         recording = read_recording(f"{observations}/{name}")
@@ -196,7 +197,7 @@ def predicted(observations: Path, names: Sequence[str], body: BodyModel) -> Tabl
 
 
 def left_out(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> list[float]:
-    """Mean errors with the marker's own offset, without it, and of the fitted markers, mm."""
+    """Return mean errors (mm) with the marker's own offset, without it, and of fitted markers."""
     chosen = recording.select(markers.labels)
     step = -(-chosen.frames // FRAMES)
     chosen = replace(chosen, positions=chosen.positions[::step], visible=chosen.visible[::step],
@@ -225,7 +226,7 @@ def placed(
     visible: Bool[Tensor, "time markers"],
     body: BodyModel,
 ) -> tuple[Tensor, Tensor]:
-    """All markers with the offset of every tenth frame, and without one of their own."""
+    """Return places of all markers with the mean offset of every tenth frame, and with none."""
     posed = body.pose(fit.motion)
     bones = body.weights[list(markers.vertices)].argmax(-1)
     turns = posed.orientations[:, bones]

@@ -1,18 +1,19 @@
-"""Errors of a network's estimates of test windows, refined, and of plain fits to them.
+"""Measures how `recon.refine` improves a network's estimates of test windows.
 
     python -m benchmarks.refine CORPUS --out FOLDER
     python -m benchmarks.refine CORPUS --part validation --only 8
 
-Estimates have the errors of `RegressorErrors`: biased and wandering joints, jitter, a
-limb hidden for a second, legs exchanged for moments, a path that drifts. Columns: mean error of
-joints in the world and about the pelvis, of accelerations; speed of feet that stand along the
-ground; and, of hands and toes that are faster than 3 m/s in truth, the ratio of their highest
-speed to the true one and how far it is from one. Baselines: the estimate itself, and its joints
-taken as independent noise by `recon.fit` (pose prior, HuMoR).
+Estimates have the errors of `RegressorErrors`: biased and wandering joints, jitter, a limb hidden
+for a second, legs exchanged for moments, a path that drifts. Columns: mean error of joints in the
+world and about the pelvis, of accelerations; horizontal speed of feet that stand; and, of hands
+and toes that are faster than 3 m/s in truth, the ratio of their highest speed to the true one, and
+its deviation from one. Baselines: the estimate itself, and fits by `recon.fit` (pose prior, HuMoR)
+that take its joints as having independent noise.
 
 Files of SAM 3D Body are made from the same windows: 70 points as one camera sees them, with 15 mm
-of noise; sizes, depths and focal lengths of single images err by 2, 3 and 2 %. Their errors are of
-these points after one rotation and shift of the clip, and of wrists and ankles in place of toes.
+of noise; sizes, depths and focal lengths of single images have errors of 2, 3 and 2 %. Their
+columns are computed for these points after one rotation and shift of the clip, with wrists and
+ankles in place of toes.
 """
 
 import re
@@ -52,7 +53,7 @@ _LIMBS = tuple(
 
 @dataclass(frozen=True)
 class RegressorErrors:
-    """Sizes of the errors; the defaults are near what is published of networks on video.
+    """Sizes of simulated errors; the defaults resemble published ones of networks on video.
 
     They give about 7 cm of joints after aligning the pelvis and 10 m/s² of acceleration, between
     what is published of networks that see a clip (WHAM, GVHMR on EMDB: 6 to 8 cm, 4 to 6 m/s²)
@@ -66,30 +67,30 @@ class RegressorErrors:
     slow_seconds: float = 0.7
     """Time after which the correlation of what changes slowly has fallen to one half."""
     jitter: float = 0.006
-    """Error of every joint's rotation that is another in every frame at 30 Hz, radians."""
+    """Error of every joint's rotation, independent in every frame at 30 Hz, radians."""
     heading: float = 0.02
     """Drift of the heading, radians for every square root of a second."""
     drift: float = 0.08
     """Standard deviation per axis of the error of the path's velocity, m/s."""
     drift_seconds: float = 1.0
-    """Time after which its correlation has fallen to one half."""
+    """Time after which the correlation of that error has fallen to one half."""
     place_jitter: float = 0.003
-    """Error of the place that is another in every frame, metres per axis."""
+    """Error of the position, independent in every frame, metres per axis."""
     swaps: float = 0.1
-    """Exchanges of the legs per second, each of 0.1 to 0.2 s."""
+    """Number of exchanges of the legs per second, each lasting 0.1 to 0.2 s."""
     occlusion: float = 1.0
-    """Seconds for which one limb is hidden: it keeps its posture of the first moment."""
+    """Seconds for which one limb is hidden: it keeps its posture of the first frame."""
     occluded: float = 2.0
-    """How many times as much its joints err then."""
+    """Factor by which the errors of the hidden joints are larger."""
 
 
 def estimated(motion: Motion, errors: RegressorErrors, seed: int = 0) -> Motion:
-    """The motion of one clip (no leading axis) as a network would have told it.
+    """Return a clip's motion with the simulated errors of a network.
 
     Args:
-        motion: the truth.
-        errors: what the network gets wrong.
-        seed: of the errors.
+        motion: true motion, without a batch axis.
+        errors: sizes of the errors.
+        seed: seed of the random errors.
     """
     generator = torch.Generator().manual_seed(seed)
     frames, fps = motion.frames, motion.fps
@@ -117,7 +118,7 @@ def estimated(motion: Motion, errors: RegressorErrors, seed: int = 0) -> Motion:
 def _wander(
     white: Float[Tensor, "time ..."], fps: float, seconds: float
 ) -> Float[Tensor, "time ..."]:
-    """Unit noise that changes smoothly (Matérn's of smoothness 3/2), from unit white noise."""
+    """Filter unit white noise to unit noise that changes smoothly (Matérn, smoothness 3/2)."""
     times = torch.arange(len(white), dtype=torch.float64) / fps
     away = 3**0.5 * (times[:, None] - times).abs() / seconds
     covariance = (1 + away) * (-away).exp()
@@ -128,7 +129,7 @@ def _wander(
 def _occluded(
     motion: Motion, errors: RegressorErrors, generator: Generator
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 22"]]:
-    """One limb hidden for a while, and how many times as much every joint errs."""
+    """Hide one limb for a while; also return the factor of every joint's errors."""
     rotations, blame = motion.rotations.clone(), motion.translation.new_ones(motion.frames, 22)
     length = round(errors.occlusion * motion.fps)
     if not 0 < length < motion.frames:
@@ -146,7 +147,7 @@ def _swapped(
     fps: float,
     generator: Generator,
 ) -> Float[Tensor, "time 22 3 3"]:
-    """The legs exchanged for moments: each does what the other does, mirrored."""
+    """Exchange the legs for some moments: each moves like the other one, mirrored."""
     swapped, mirrored = rotations.clone(), mirrored_rotations(rotations)
     for start in range(len(rotations)):
         if float(torch.rand((), generator=generator)) < errors.swaps / fps:
@@ -158,9 +159,9 @@ def _swapped(
 
 SEED = 0
 FAST = 3.0
-"""Speed above which a hand or toe counts as fast, metres per second."""
+"""True speed (m/s) above which a hand or toe counts as fast."""
 _ROWS = ([0], FEET, (JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *TOES))
-"""Middle, feet and fast ends, among joints."""
+"""Indices of joints: middle of the body, feet, and ends that may be fast."""
 _POINTS = [name for name in MHR70 if name in PLACES]
 _POINT_ROWS = [
     [_POINTS.index(f"{side}_{part}") for part in parts for side in ("left", "right")]
@@ -179,7 +180,7 @@ Method = Callable[[Motion, BodyModel], Motion]
 
 
 def as_joints(prior: str) -> Method:
-    """Its joints as independent noise."""
+    """Return a method that fits the estimate's joints as having independent noise."""
 
     def fitted(motion: Motion, body: BodyModel) -> Motion:
         joints = body.pose(motion).joints.detach()
@@ -193,7 +194,7 @@ def as_joints(prior: str) -> Method:
 
 
 def refined(prior: str) -> Method:
-    """`recon.refine`."""
+    """Return a method that calls `recon.refine` with a prior."""
     return lambda motion, body: recon.refine(motion, prior, body=body).motion
 
 
@@ -207,7 +208,7 @@ METHODS: dict[str, Method] = {
 
 
 def main() -> None:
-    """Estimate, refine, judge, print and write."""
+    """Simulate estimates, refine them, print and write the table."""
     arguments = over_windows(__doc__)
     arguments.set_defaults(only=12)
     given = arguments.parse_args()
@@ -235,7 +236,7 @@ def main() -> None:
 def of_sam3d_body(
     truth: Motion, touching: Bool[Tensor, "time 4"], seed: int, body: BodyModel
 ) -> Iterator[tuple[str, Row]]:
-    """A made file of one clip, and what `recon.refine` makes of it."""
+    """Simulate a file of SAM 3D Body; yield its errors and those after `recon.refine`."""
     points, random = BodyPoints.of_names(_POINTS, body), np.random.default_rng(seed)
     true = points.of(body.pose(truth)).detach()
     camera = dome(truth, body, full_hd_camera(), 1, first=2.4 * seed)[0]
@@ -274,7 +275,7 @@ def judged(
     touching: Bool[Tensor, "time 4"],
     rows: Sequence[Sequence[int]],
 ) -> Row:
-    """Errors of one window, SI units."""
+    """Return the errors of one window in SI units."""
     frames = min(len(own), len(true))
     own, true = own[:frames].double(), true[:frames].double()
     middle, feet, ends = (list(some) for some in rows)

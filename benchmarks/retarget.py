@@ -1,14 +1,14 @@
-"""Retargeting to other bodies: physics of what `recon.retarget` makes, and of plain copies.
+"""Measures the physics of motions that `recon.retarget` transfers to other bodies.
 
     python -m benchmarks.retarget CORPUS --weights open --out FOLDER
 
-Clips, windows and target bodies are those of `benchmarks/identities.toml`. The five numbers of
-HUMOS are as released, the others as in docs/physics.md. Slip is measured while the source's
-soles are within 1.5 cm of the ground, for all methods.
+Clips, windows and target bodies are those of `benchmarks/identities.toml`. The five metrics of
+HUMOS are as released, the others as in docs/physics.md. Slip is measured while the source's soles
+are within 1.5 cm of the ground, for all methods.
 
-`sum` is a sum of errors, each divided by that of the copy (which has 5; less is better):
-penetrate, float, 100 % minus dynamic stability, BoS distance, slip. Clips with flight, of which
-float and BoS distance mean nothing, are left out.
+`sum` is a sum of errors, each divided by that of the plain copy (which has 5; less is better):
+penetrate, float, 100 % minus dynamic stability, BoS distance, slip. Clips with flight, for which
+float and BoS distance are meaningless, are left out.
 """
 
 import tomllib
@@ -31,13 +31,13 @@ from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, ph
 IDENTITIES = Path(__file__).parent / "identities.toml"
 SEED, FPS = 2024, 20.0
 GROUND = 0.25
-"""Share of frames whose lowest point is below the ground. Standing bodies are then on it, and so
-are running ones; of 0, 5, 25 and 50 % the one of the least PhysDiff error and the most stable
+"""Share of frames whose lowest point is below the ground after a vertical shift, for standing and
+running bodies alike. Of 0, 5, 25 and 50 % it gave the least PhysDiff error and the most stable
 truth on validation clips but for 50 %, which sinks the stance of runs."""
 ON_GROUND = 0.015
-"""Height of a sole below which its foot is in contact, metres."""
+"""Height (m) of a sole below which its foot is in contact."""
 FEET = ((7, 10), (8, 11))
-"""Ankle and toe joints of the left and the right foot."""
+"""Joint indices of ankle and toes of the left and the right foot."""
 COLUMNS: Metrics = {
     "penetrate": ("penetrate cm", 100, 2), "float": ("float cm", 100, 2),
     "skate": ("skate %", 100, 1), "dynamic_stability": ("dyn. stability %", 100, 1),
@@ -60,7 +60,7 @@ METHODS: dict[str, Retargeter] = {
 
 @dataclass(frozen=True)
 class Job:
-    """One motion and the body that is to perform it."""
+    """One motion and the body to which it is retargeted."""
 
     name: str
     subject: str
@@ -68,11 +68,11 @@ class Job:
     """The motion on its own body, on the ground, 20 Hz."""
     target: Float[Tensor, " shape"]
     flies: bool
-    """The source leaves the ground by more than 5 cm in some frame, as runs and jumps do."""
+    """Whether the source leaves the ground by more than 5 cm, as runs and jumps do."""
 
 
 def main() -> None:
-    """Retarget, measure, print and write."""
+    """Retarget all clips by all methods, print and write the table."""
     arguments = over_windows(__doc__)
     arguments.add_argument("--weights", nargs="*", default=[], help="of networks: open, files")
     given = arguments.parse_args()
@@ -86,7 +86,7 @@ def main() -> None:
 
 
 def network(weights: str) -> Retargeter:
-    """`recon.retarget` from what the shape-conditioned prior proposes."""
+    """Return the method `recon.retarget` with the shape-conditioned prior of some weights."""
     return lambda body, motion, shape: (
         recon.retarget(motion, shape, method="network", weights=weights, body=body).motion
     )
@@ -95,7 +95,7 @@ def network(weights: str) -> Retargeter:
 def load_jobs(
     corpus: Path, splits: Splits, part: Part, body: BodyModel, table: Path = IDENTITIES
 ) -> list[Job]:
-    """All clips that the table lists for a part.
+    """Load all clips that the table lists for a part.
 
     Raises:
         FileNotFoundError: when the corpus lacks a listed clip.
@@ -125,18 +125,18 @@ def load_jobs(
 
 
 def lowest(motion: Motion, body: BodyModel) -> Float[Tensor, " time"]:
-    """Height of the lowest vertex of every frame, metres."""
+    """Return the height (m) of the lowest vertex of every frame."""
     return body.pose(motion).vertices[..., 2].amin(-1)
 
 
 def grounded(motion: Motion, body: BodyModel, share: float = GROUND) -> Motion:
-    """A motion lifted or lowered as a whole, so that this share of its frames is below z = 0."""
+    """Shift a motion vertically so that this share of its frames is below z = 0."""
     down = motion.translation.new_tensor([0.0, 0.0, 1.0]) * lowest(motion, body).quantile(share)
     return motion.replace(translation=motion.translation - down)
 
 
 def measured(method: Retargeter, job: Job, body: BodyModel) -> PhysicsSamples:
-    """Physics of every frame of a clip that a method made.
+    """Retarget one clip, and return the physics of every frame.
 
     Raises:
         ValueError: when it has other frames than the source.
@@ -151,7 +151,7 @@ def measured(method: Retargeter, job: Job, body: BodyModel) -> PhysicsSamples:
 
 
 def soles_down(motion: Motion, body: BodyModel) -> Bool[Tensor, "time 2"]:
-    """Feet in contact: the lowest point under 1.5 cm."""
+    """Return a mask of feet in contact, whose lowest point is below 1.5 cm."""
     posed, owner = body.pose(motion), body.weights.argmax(-1)
     feet = [torch.isin(owner, owner.new_tensor(foot)).nonzero()[:, 0] for foot in FEET]
     heights = [posed.points(foot)[..., 2].amin(-1) for foot in feet]
@@ -160,7 +160,7 @@ def soles_down(motion: Motion, body: BodyModel) -> Bool[Tensor, "time 2"]:
 
 def table(samples: Mapping[str, Sequence[PhysicsSamples]], jobs: Sequence[Job],
           apart: Collection[str]) -> Table:  # fmt: skip
-    """Methods over the clips without flight, of people who are not apart."""
+    """Build the table of methods over the clips without flight, without people set apart."""
     kept = [job.subject not in apart and not job.flies for job in jobs]
     rows = [
         [method, *(number(row.get(key), factor) for key, (_, factor, _) in COLUMNS.items())]
@@ -172,7 +172,7 @@ def table(samples: Mapping[str, Sequence[PhysicsSamples]], jobs: Sequence[Job],
 def pooled(
     samples: Mapping[str, Sequence[PhysicsSamples]], kept: Sequence[bool]
 ) -> dict[str, Row]:
-    """Metrics of the frames of some clips together, by method, with sums of errors."""
+    """Return metrics over the frames of all kept clips, by method, with sums of errors."""
     rows: dict[str, Row] = {}
     for method, own in samples.items():
         some = [one for one, wanted in zip(own, kept, strict=True) if wanted]
@@ -185,7 +185,7 @@ def pooled(
 
 
 def errors(row: Row) -> list[float | None]:
-    """Penetrate, float, BoS distance, slip and instability."""
+    """Return penetrate, float, BoS distance, slip and instability, for the sum."""
     stable = row["dynamic_stability"]
     names = ("penetrate", "float", "bos_distance", "slip_in_contact")
     return [*(row[name] for name in names), None if stable is None else 1 - stable]

@@ -1,8 +1,8 @@
-"""Scanned cycles: test material of sparse 4D scans whose truth is known, and its thinned versions.
+"""Simulates scanned gait cycles with known truth, and sparse versions of them.
 
-A person of a shape nobody in the corpus has, in clothes no shape has, is scanned all around at
-50 Hz; sixteen markers are recorded with it. What a table of completions varies is how many points
-of a frame (`thinned_points`) or which frames (`thinned_frames`, `thinned_landmarks`) remain.
+A person of a random shape, in clothes that no shape has, is scanned all around at 50 Hz; sixteen
+markers are recorded with it. Tables of completions vary how many points of a frame
+(`thinned_points`) or which frames (`thinned_frames`, `thinned_landmarks`) remain.
 """
 
 from dataclasses import dataclass, replace
@@ -21,22 +21,22 @@ from recon.simulation.scenery import clothed
 
 FPS = 50.0
 POINTS = 10_000
-"""Points of a frame."""
+"""Number of points of a frame."""
 NOISE = 0.005
-"""Standard deviation of every coordinate of a scan, metres."""
+"""Standard deviation (m) of every coordinate of a scan."""
 MARKER_NOISE = 0.001
-"""Standard deviation of every coordinate of a marker, metres."""
+"""Standard deviation (m) of every coordinate of a marker."""
 SKIN_OFFSET = 0.01
-"""Standard deviation of a marker's constant offset from its landmark, metres per axis."""
+"""Standard deviation (m per axis) of a marker's constant offset from its landmark."""
 SHORTEST, LONGEST = 0.3, 3.0
-"""Seconds of a cycle."""
+"""Least and largest duration (s) of a cycle."""
 ANCHORS = 100
-"""Moments of a cycle, evenly from its first frame to its last, of which some are observed."""
+"""Number of frames of a cycle, evenly from its first to its last, of which some are observed."""
 
 
 @dataclass(frozen=True)
 class ScannedCycle:
-    """One cycle, and what is seen of it; all at 50 Hz from zero seconds on."""
+    """One gait cycle, its scans and its landmarks; all at 50 Hz, starting at zero seconds."""
 
     name: str
     subject: str
@@ -49,10 +49,10 @@ class ScannedCycle:
 def scanned_cycle(
     name: str, subject: str, cycle: Motion, body: BodyModel, seed: int = 0
 ) -> ScannedCycle:
-    """A cycle as scanned: of another person in clothes, with noise.
+    """Simulate the scan of a cycle by another person in clothes, with noise.
 
-    Every shape coefficient is N(0, 1), which is as people differ; the same name and seed draw the
-    same person, clothes and noise.
+    Every shape coefficient is N(0, 1), as among people; the same name and seed give the same
+    person, clothes and noise.
 
     Raises:
         ValueError: when the cycle does not last 0.3 to 3 s.
@@ -66,7 +66,7 @@ def scanned_cycle(
 def scanned(
     name: str, subject: str, motion: Motion, body: BodyModel, seed: int = 0, points: int = POINTS
 ) -> ScannedCycle:
-    """Any motion as scanned, with so many points a frame; see `scanned_cycle`."""
+    """Simulate the scan of any motion, with `points` points per frame; see `scanned_cycle`."""
     random = np.random.default_rng([seed, *name.encode()])
     drawn = torch.from_numpy(random.standard_normal(body.shape_size)).to(motion.shape)
     clothes, scanner, markers = random.integers(2**31, size=3).tolist()
@@ -92,7 +92,7 @@ def scanned(
 
 
 def thinned_points(scans: PointsFile, points: int, seed: int) -> PointsFile:
-    """The scans with at most so many points of every frame, drawn anew in every frame.
+    """Keep at most `points` points of every frame, drawn anew in every frame.
 
     Raises:
         ValueError: when none would remain.
@@ -108,7 +108,7 @@ def thinned_points(scans: PointsFile, points: int, seed: int) -> PointsFile:
 
 
 def observed_frames(frames: int, observed: int) -> Int[np.ndarray, " observed"]:
-    """The frames nearest to some of a cycle's 100 anchors: the 100/f-th, 200/f-th, ..., 100th.
+    """Return the frames nearest to some of a cycle's 100 anchors: the 100/f-th, 200/f-th, ...
 
     Short cycles have fewer frames than anchors; several anchors then share one.
 
@@ -123,7 +123,7 @@ def observed_frames(frames: int, observed: int) -> Int[np.ndarray, " observed"]:
 
 
 def thinned_frames(scans: PointsFile, observed: int) -> PointsFile:
-    """All points of a cycle's frames at some of the 100 anchors; the other frames are empty."""
+    """Keep the scans of a cycle at some of the 100 anchors; the other frames are empty."""
     known = scans.truth_visible
     frames = int(scans.frame.max()) + 1 if known is None else len(known)
     kept = np.isin(scans.frame, observed_frames(frames, observed))
@@ -131,7 +131,7 @@ def thinned_frames(scans: PointsFile, observed: int) -> PointsFile:
 
 
 def thinned_landmarks(landmarks: PositionsFile, observed: int) -> PositionsFile:
-    """Landmarks at the same frames; in the others none is visible."""
+    """Keep landmarks at some of the 100 anchors; in other frames none is visible."""
     frames = len(landmarks.visible)
     seen = np.isin(np.arange(frames), observed_frames(frames, observed))[:, None]
     return replace(

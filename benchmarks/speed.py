@@ -1,15 +1,15 @@
-"""Speed: fits, long recordings, streams and batches.
+"""Measures CPU time and memory of fits, long recordings, streams and batches.
 
     python -m benchmarks.speed CORPUS --out FOLDER
     python -m benchmarks.speed CORPUS --parts batch --clips 32 --out FOLDER
 
-All on one thread. `speed` fits one clip of two seconds, and sixteen. `long` fits the
-longest clip, run there and back until it lasts so long, each length in a process of its own whose
-peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
-change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
-clips of subjects moment by moment, beside fits at once; `hour` pushes an hour of the longest as
-fast as it goes. `batch` runs `recon batch` on the listed
-windows, and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate.
+All run on one thread. `speed` fits one clip of two seconds, and sixteen. `long` fits the longest
+clip, played forwards and backwards for each duration, in a process of its own whose peak memory is
+printed: where it turns round, every joint's velocity changes sign at once. The largest change of a
+joint's velocity from one frame to the next shows seams. `live` pushes the longest clips of
+subjects frame by frame, compared with fits of whole clips; `hour` pushes an hour of the longest as
+fast as possible. `batch` runs `recon batch` on the listed windows, and counts CPU seconds of all
+processes. Joints have 4 cm of noise per coordinate.
 """
 
 import json
@@ -42,7 +42,7 @@ Row = dict[str, float]
 
 
 def main() -> None:
-    """Measure, print and write."""
+    """Measure all parts, print and write the tables."""
     arguments = over_windows(__doc__)
     parts = ("speed", "long", "live", "hour", "batch")
     arguments.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[str]:
-    """The longest clip of every subject of a part, the longest of all first."""
+    """Return the longest clip of every subject of a part, the longest of all first."""
     parts = splits.parts(list(files))
     motions = {c: recon.load_motion(files[c]).motion for c in parts if parts[c] == part}
     of_subject: dict[str, str] = {}
@@ -84,7 +84,7 @@ def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[
 
 
 def fitting() -> Table:
-    """CPU seconds of fits of one clip, and of sixteen, medians."""
+    """Build a table of median CPU seconds of fits of one clip, and of sixteen."""
     motion = demo_clip(FRAMES)
     one = recon.simulate(motion, "joints3d", noise=NOISE, seed=SEED)
     many = [recon.simulate(motion, "joints3d", noise=NOISE, seed=k) for k in range(16)]
@@ -107,7 +107,7 @@ def fitting() -> Table:
 
 
 def there_and_back(motion: Motion, seconds: float) -> Motion:
-    """A clip run forwards, backwards and so on until it lasts so long; its clock starts at 0."""
+    """Play a clip forwards and backwards for so many seconds; its clock starts at 0."""
     period = 2 * (motion.frames - 1)
     place = torch.arange(round(seconds * motion.fps)) % period
     place = torch.minimum(place, period - place)
@@ -117,7 +117,7 @@ def there_and_back(motion: Motion, seconds: float) -> Motion:
 
 
 def long_recordings(corpus: Path, file: Path, clip: str) -> Table:
-    """Every length under both priors, each in a fresh process."""
+    """Build a table of fits of every duration under both priors, each in a new process."""
     rows: list[list[Cell]] = []
     for prior, label in (("humor", "collocation"), ("pose", "pose prior")):
         for seconds in SECONDS:
@@ -136,7 +136,7 @@ def long_recordings(corpus: Path, file: Path, clip: str) -> Table:
 
 
 def over_long(prior: str, file: Path, seconds: int) -> Row:
-    """Fit one recording in this process."""
+    """Fit one long recording in this process; return CPU time, memory and errors."""
     body = BodyModel.load()
     truth = there_and_back(recon.load_motion(file).motion.resample(FPS), seconds)
     seen = noisy_joints(truth[None], body, SEED, NOISE)
@@ -150,7 +150,7 @@ def over_long(prior: str, file: Path, seconds: int) -> Row:
 
 
 def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
-    """Streams of several lags beside fits of the same clips at once, means over clips."""
+    """Build a table of streams of several lags, compared with fits of whole clips, over clips."""
     body, found = BodyModel.load(), dict[str, list[Row]]()
     for motion in recorded:
         whole = motion.resample(FPS)
@@ -174,7 +174,7 @@ def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
 
 
 def hour(motion: Motion, minutes: int = 60) -> Table:
-    """A stream of a recording that is run there and back, under the pose prior."""
+    """Build a table of an hour-long stream of one clip, played back and forth (pose prior)."""
     period, body = there_and_back(motion, 2 * (motion.frames - 1) / FPS), BodyModel.load()
     seen = noisy_joints(period[None], body, SEED, NOISE)
     row = pushed(seen, body.pose(period).joints, "pose", 15, minutes * 60 * round(FPS))
@@ -189,7 +189,7 @@ def hour(motion: Motion, minutes: int = 60) -> Table:
 def pushed(
     seen: recon.Joints3D, true: Tensor, prior: str, lag: int, moments: int | None = None
 ) -> Row:
-    """A clip pushed moment by moment, again and again where there are to be more moments."""
+    """Push a clip frame by frame, repeatedly if there are more frames than it has."""
     known = true[torch.arange(moments or len(true)) % len(true)]
     joints, rows = torch.full_like(known, torch.nan), iter(range(len(known)))
     stream, spent, peaks = recon.Stream(prior, lag), list[float](), list[float]()
@@ -209,14 +209,14 @@ def pushed(
 
 
 def compared(joints: Tensor, true: Tensor) -> Row:
-    """The mean distance of joints, metres, and the largest changes of velocity, m/s."""
+    """Return the mean distance of joints (m), and the largest changes of velocity (m/s)."""
     true = true[: len(joints)]
     own, best = (float(p.diff(n=2, dim=0).norm(dim=-1).max() * FPS) for p in (joints, true))
     return {"error": float((joints - true).norm(dim=-1).mean()), "jump": own, "jump_truth": best}
 
 
 def cost_of(*words: str, folder: Path) -> tuple[float, float]:
-    """CPU seconds of all processes of a `recon batch`, and memory of the largest, megabytes.
+    """Return CPU seconds of all processes of a `recon batch`, and memory (MB) of the largest.
 
     Raises:
         RuntimeError: when a clip was not fitted.
@@ -235,7 +235,7 @@ def cost_of(*words: str, folder: Path) -> tuple[float, float]:
 
 
 def batches(truth: Motion, count: int, processes: int) -> Table:
-    """`recon batch` under both priors."""
+    """Build a table of `recon batch` under both priors."""
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -254,7 +254,7 @@ def batches(truth: Motion, count: int, processes: int) -> Table:
 
 
 def manifest(folder: Path, truth: Motion, count: int) -> None:
-    """Observation files of noisy joints, several draws where there are more clips than windows."""
+    """Write observation files of noisy joints, windows repeatedly with other noise if needed."""
     body, lines = BodyModel.load(), list[str]()
     for k in range(count):
         seen = noisy_joints(truth[[k % len(truth.translation)]], body, SEED + k, NOISE)
@@ -266,7 +266,7 @@ def manifest(folder: Path, truth: Motion, count: int) -> None:
 
 
 def fitted_joints(folder: Path, count: int) -> np.ndarray:
-    """Joints of all results, axes (clips, time, joints, 3), metres."""
+    """Read the joints (m) of all results, axes (clips, time, joints, 3)."""
     body = BodyModel.load()
     motions = [recon.load_motion(folder / f"{k}.npz").motion for k in range(count)]
     return np.stack([body.pose(motion).joints.double().numpy() for motion in motions])

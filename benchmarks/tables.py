@@ -1,4 +1,4 @@
-"""The tables of README.md, docs/ and the cards of weights, from the files in benchmarks/results.
+"""Writes the tables of README.md, docs/ and the cards of weights from benchmarks/results.
 
     python -m benchmarks.tables            # or: make tables
     python -m benchmarks.tables --check    # fails where a document says something else
@@ -20,13 +20,13 @@ _MARKER = re.compile(r"<!-- (?:table|end) [\w-]+ -->")
 
 
 def documents() -> list[Path]:
-    """README.md, the pages of docs/ and the cards of the weights."""
+    """List README.md, the pages of docs/ and the cards of the weights."""
     cards = ROOT.glob("priors/weights/*.md")
     return [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md")), *sorted(cards)]
 
 
 def filled(text: str, where: str, results: Path = RESULTS) -> str:
-    """The document with every table as its result file has it.
+    """Return the document's text with every table replaced by that of its result file.
 
     Raises:
         ValueError: when a marker has no counterpart or names no result file.
@@ -48,12 +48,12 @@ def filled(text: str, where: str, results: Path = RESULTS) -> str:
 
 
 def used(text: str) -> list[str]:
-    """Names of the tables in a document."""
+    """Return the names of the tables in a document."""
     return [name for name, _ in _BLOCK.findall(text)]
 
 
 def loose_numbers(text: str) -> Iterator[str]:
-    """Rows of markdown tables outside of the markers of which a cell is a decimal number."""
+    """Yield rows of Markdown tables outside of the markers that have a decimal number."""
     for line in _BLOCK.sub("", text).splitlines():
         cells = [cell.strip(" *") for cell in line.split("|")]
         if len(cells) > 2 and any(re.fullmatch(r"[-+]?\d*\.\d+.{0,8}", cell) for cell in cells):

@@ -1,9 +1,10 @@
-"""Two people who cross before one camera of known lens: each in the film of both, and alone.
+"""Compares fits of two people who cross before one camera with fits of each alone.
 
     python -m benchmarks.two CORPUS --out FOLDER
 
-Listed windows of people who go somewhere, to the right 4.5 m and to the left 5.5 m away; three
-pixels of noise; the detections of a frame are in any order. Errors are about the pelvis.
+Films are simulated keypoints of listed windows of people who go somewhere, one to the right 4.5 m
+and one to the left 5.5 m away, before a camera of known lens; with three pixels of noise, and the
+detections of a frame in random order. Errors are about the pelvis.
 """
 
 import tempfile
@@ -35,7 +36,7 @@ COLUMNS: list[tuple[str, int | None]] = [
 
 
 def main() -> None:
-    """Film, fit, print and write."""
+    """Simulate, fit, print and write the table."""
     given = over_windows(__doc__).parse_args()
     body, rows = BodyModel.load(), list[list[Cell]]()
     windows = load_windows(given.corpus, Splits.load(given.splits), given.part, body, SEED, FRAMES)
@@ -55,7 +56,7 @@ def main() -> None:
 
 
 def crossing(truth: Motion, k: int, body: BodyModel) -> Motion:
-    """The motion turned to go right (0) or left (1), in the middle of the image at mid-time."""
+    """Turn a motion to go right (0) or left (1), through the middle of the image at mid-time."""
     x, y, _ = truth.translation[-1] - truth.translation[0]
     T = torch.eye(4)
     T[:3, :3] = so3.about_z(k * torch.pi - torch.atan2(y, x))
@@ -65,7 +66,7 @@ def crossing(truth: Motion, k: int, body: BodyModel) -> Motion:
 
 
 def measured(truths: list[Motion], seed: int, prior: str, body: BodyModel) -> list[list[float]]:
-    """For each person: errors alone and together, sizes beside both, and the soles' height."""
+    """Return for each person: errors alone and together, size ratios, and height of the soles."""
     camera = full_hd_camera().placed(torch.tensor([0, 0, 1.5]), torch.tensor([0, 5.0, 1.0]))
     noise = Corruption(noise=PIXELS)
     seen = [keypoints2d(one, body, camera, noise, 2 * seed + k) for k, one in enumerate(truths)]

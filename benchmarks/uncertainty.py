@@ -1,15 +1,15 @@
-"""Do errors keep to the standard deviations that `recon.fit` states?
+"""Compares errors of fits with the standard deviations that `recon.fit` states.
 
     python -m benchmarks.uncertainty CORPUS --out FOLDER
     python -m benchmarks.uncertainty CORPUS --part validation --only 6 --prior pose
 
 Windows of two seconds of joints, markers, three cameras, one camera with and one without a known
 pose, and depth. The table has the share of errors along an axis of at most 1.645 standard
-deviations (0.90 where they are right), the median standard deviation beside the root mean square
-error of an axis, and the rank correlation of standard deviations with the errors of joints. Joints
-that were seen and joints that nobody saw are judged apart. Where the ground was found, its height
-and its normal are judged likewise, a row per clip; so is how often feet touch where they are said
-to with some probability. Constants were chosen on validation.
+deviations (0.90 if these are right), the median standard deviation beside the root mean square
+error of an axis, and the rank correlation of standard deviations with the errors of joints. Seen
+and hidden joints are evaluated separately. Where the ground was found, its height and its normal
+are evaluated likewise, a row per clip; so is how often feet touch at a stated probability.
+Constants were chosen on validation.
 """
 
 import math
@@ -45,13 +45,13 @@ PROTOCOLS: dict[str, tuple[Sensor, Corruption, bool]] = {
     "one camera of known pose, 4 px": ("cameras", Corruption(noise=4.0), True),
     "one camera, ground not known, 4 px": ("camera", Corruption(noise=4.0), False),
 }  # fmt: skip
-"""Sensors, their noise, and whether the ground is known; depth is not among them."""
+"""Sensor, noise, and whether the ground is known; the protocol of depth is separate."""
 _SHARES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Errors of one fit beside what it said of them."""
+    """Errors of one fit, with the standard deviations and contacts that it states."""
 
     error: Float[Tensor, "time 22 3"]
     std: Float[Tensor, "time 22"]
@@ -62,11 +62,11 @@ class Judged:
     """Errors of its normal about two axes, and their standard deviation, degrees; None where the
     vertical is known."""
     contacts: tuple[Tensor, Tensor] | None
-    """Probabilities that feet touch, and whether they do."""
+    """Stated probabilities that feet touch, and whether they do."""
 
 
 def main() -> None:
-    """Fit, judge, print and write."""
+    """Fit all windows, print and write the tables."""
     arguments = over_windows(__doc__)
     names = [*PROTOCOLS, DEPTH]
     arguments.set_defaults(only=12)
@@ -117,7 +117,7 @@ def judged(windows: TrueWindows, clip: int, name: str, prior: str, body: BodyMod
 def _ground(
     result: recon.Result, T_world_camera: Float[Tensor, "4 4"]
 ) -> tuple[tuple[float, float] | None, tuple[float, float, float] | None]:
-    """Errors of a ground that was found, beside what the fit says of them."""
+    """Return errors of a found ground, with the standard deviations that the fit states."""
     std, found = result.ground_std, result.T_world_camera
     if std is None or result.ground is None:
         return None, None
@@ -129,7 +129,7 @@ def _ground(
 
 
 def tables(found: Mapping[str, Sequence[Judged]]) -> dict[str, Table]:
-    """Joints, grounds and contacts."""
+    """Build the tables of joints, grounds and contacts."""
     joints: list[list[Cell]] = []
     grounds: list[list[Cell]] = []
     contacts: list[list[Cell]] = []
@@ -176,7 +176,7 @@ def _of_joints(error: Float[Tensor, "rows 3"], std: Float[Tensor, " rows"]) -> l
 
 
 def _of_ground(rows: Sequence[tuple[float, ...]], factor: float) -> list[Cell]:
-    """Numbers of what there is once a clip: errors, and in the last place their deviation."""
+    """Summarise rows that have errors and, as the last value, their standard deviation."""
     told = torch.tensor(rows, dtype=torch.float64)
     error, std = told[:, :-1], told[:, -1:]
     numbers = (error.abs().median(), error.square().mean().sqrt(), std.median())
@@ -185,7 +185,7 @@ def _of_ground(rows: Sequence[tuple[float, ...]], factor: float) -> list[Cell]:
 
 
 def _touching(said: Float[Tensor, " rows"], truth: Bool[Tensor, " rows"]) -> list[Cell]:
-    """How often feet touch where a probability is said, %."""
+    """Return how often (%) feet touch, by ranges of the stated probability."""
     groups = [(said >= low) & ((said < high) | (high == 1.0)) for low, high in _SHARES]
     return [number(truth[some].double().mean().item(), 100) if some.any() else None
             for some in groups]  # fmt: skip

@@ -34,12 +34,12 @@ VERSION = 1
 SHAPES = 16
 TARGET_VERTICES = 6890
 SMALL_PARTS = (("head", 0.55), ("left_wrist", 0.44), ("left_ankle", 0.715))
-"""Factor by which the decimation sees a part smaller, hence keeps fewer vertices there."""
+"""Factors by which parts are shrunk for the decimation, which keeps fewer vertices there."""
 LARGEST_ASSET_BYTES = 3_000_000
 
 
 def build(count: int, seed: int) -> dict[str, np.ndarray]:
-    """The arrays of the asset, by name."""
+    """Compute the arrays of the asset, keyed by name."""
     model = adults.makehuman()
     weights = rig.joint_weights(model)
     drawn = adults.draw(model, count, seed)
@@ -98,7 +98,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
 def zero_pose_bodies(
     model, drawn: adults.Adults, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, V, 3) vertices, float32, and (n, 22, 3) joints of the adults in the zero pose."""
+    """Compute vertices (n, V, 3), float32, and joints (n, 22, 3) of adults in the zero pose."""
     average = list(adults.meshes(model, adults.average_adults()))
     placed = rig.place_points(model, np.concatenate([part.bone_heads for part in average]))
     skin = np.concatenate([part.vertices for part in average]).astype(float)
@@ -117,7 +117,7 @@ def zero_pose_bodies(
 
 
 def shrink_parts(vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The mesh with head, hands and feet drawn towards their joints."""
+    """Shrink head, hands and feet of a mesh towards their joints."""
     importance = vertices.copy()
     for name, factor in SMALL_PARTS:
         parts = [name, "left_foot"] if name == "left_ankle" else [name]
@@ -128,7 +128,7 @@ def shrink_parts(vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray) 
 
 
 def four_largest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index and value of the four largest weights per vertex, renormalised."""
+    """Return index and value of the four largest weights per vertex, renormalised."""
     weights = np.where(weights < 0.01, 0.0, weights)
     index = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     value = np.take_along_axis(weights, index, 1)
@@ -136,13 +136,13 @@ def four_largest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def report_joints(regressor: np.ndarray, bodies: np.ndarray, joints: np.ndarray) -> None:
-    """Logs the regressor's error on bodies it has not seen."""
+    """Log the regressor's error on held-out bodies."""
     error = 1e3 * np.linalg.norm(regressor @ bodies.astype(float) - joints, axis=-1)
     log.info("joint regressor, held-out: mean %.2f mm, max %.2f mm", error.mean(), error.max())
 
 
 def check(template: np.ndarray, faces: np.ndarray) -> None:
-    """Refuses a mesh that is not one closed, symmetric, outward-facing surface."""
+    """Refuse a mesh that is not one closed, symmetric, outward-facing surface."""
     surface = trimesh.Trimesh(template, faces, process=False)
     mirror_gap = np.abs(template[mesh.twins(template)] * FLIP - template).max()
     log.info("%d vertices, %d faces, %.4f m^3", len(template), len(faces), surface.volume)
@@ -153,7 +153,7 @@ def check(template: np.ndarray, faces: np.ndarray) -> None:
 
 
 def provenance(count: int, seed: int) -> dict[str, object]:
-    """The origin of the numbers, for the asset itself."""
+    """Return the origin of the numbers, which is stored in the asset."""
     return {
         "name": "recon-adult",
         "version": VERSION,
@@ -169,7 +169,7 @@ def provenance(count: int, seed: int) -> dict[str, object]:
 
 
 def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """A compressed .npz whose bytes depend on its contents only (no time stamps)."""
+    """Write a compressed .npz whose bytes depend on its contents only (no time stamps)."""
     beside = path.with_name(path.name + ".partial")
     with zipfile.ZipFile(beside, "w") as archive:
         for name, array in arrays.items():

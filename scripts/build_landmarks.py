@@ -25,13 +25,13 @@ FRONT, BACK = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 
 
 def offset(x: float, y: float, z: float) -> np.ndarray:
-    """A step in metres: to the body's left, up, to the front."""
+    """Return an offset in metres: to the body's left, up, to the front."""
     return np.array([x, y, z])
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """The mean body."""
+    """The mean body at rest: surface, joints, skinning weights and mirrored vertices."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -40,7 +40,7 @@ class Mesh:
     twin: np.ndarray
 
     def exit(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """The point where a ray that starts inside the body first leaves it (Moeller-Trumbore)."""
+        """Return where a ray that starts inside the body first leaves it (Moeller-Trumbore)."""
         direction = direction / np.linalg.norm(direction)
         corner, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         edge1, edge2 = b - corner, c - corner
@@ -59,14 +59,14 @@ class Mesh:
         return origin + distance[hit].min() * direction
 
     def nearest(self, point: np.ndarray, median: bool = False) -> int:
-        """Number of the vertex nearest to a point; of the median plane only, if asked."""
+        """Return the vertex nearest to a point, on request only of those in the median plane."""
         distance = np.linalg.norm(self.vertices - point, axis=1)
         if median:
             distance[self.twin != np.arange(len(distance))] = np.inf
         return int(distance.argmin())
 
     def furthest(self, direction: np.ndarray, among: np.ndarray) -> int:
-        """Number of the vertex furthest along a direction, among a mask."""
+        """Return the vertex in a mask that is furthest along a direction."""
         reach = np.where(among, self.vertices @ direction, -np.inf)
         return int(reach.argmax())
 
@@ -85,7 +85,7 @@ def load(path: Path) -> Mesh:
 
 
 def trunk_and_head(mesh: Mesh) -> tuple[dict[str, int], dict[str, int]]:
-    """Points of the median plane, and left points of head and trunk."""
+    """Find points of the median plane, and left points of head and trunk."""
     joints = mesh.joints
     head = mesh.weights["head"] > 0.5
     nose = mesh.furthest(FRONT, head & (mesh.twin == np.arange(len(mesh.twin))))
@@ -109,7 +109,7 @@ def trunk_and_head(mesh: Mesh) -> tuple[dict[str, int], dict[str, int]]:
     hip = joints["left_hip"]
 
     def above_hips(height: float, sideways: float = 0.0) -> np.ndarray:
-        """Metres above the hip joints: the frontal iliac spines lie about 8 cm above them."""
+        """Return a point above the hip joints: the frontal iliac spines lie 8 cm above them."""
         return np.array([sideways, hip[1] + height, joints["pelvis"][2]])
 
     shoulder, collar = joints["left_shoulder"], joints["left_collar"]
@@ -158,7 +158,7 @@ def trunk_and_head(mesh: Mesh) -> tuple[dict[str, int], dict[str, int]]:
 
 
 def arm(mesh: Mesh) -> dict[str, int]:
-    """Left arm. In the rest pose the elbow's outer side is up and the thumb points forward."""
+    """Find points of the left arm; at rest the elbow's outer side is up, the thumb in front."""
     shoulder, elbow, wrist = (mesh.joints[f"left_{n}"] for n in ("shoulder", "elbow", "wrist"))
     hand = mesh.weights["left_wrist"] > 0.5
     tip = mesh.vertices[mesh.furthest(OUT, hand)]
@@ -197,7 +197,7 @@ def arm(mesh: Mesh) -> dict[str, int]:
 
 
 def leg(mesh: Mesh) -> dict[str, int]:
-    """Left leg; the foot has axes of its own, because it points a little outwards."""
+    """Find points of the left leg; the foot has its own axes, as it points a bit outwards."""
     hip, knee, ankle, toes = (mesh.joints[f"left_{n}"] for n in ("hip", "knee", "ankle", "foot"))
     foot = (mesh.weights["left_ankle"] + mesh.weights["left_foot"]) > 0.5
     ahead = (toes - ankle) * [1.0, 0.0, 1.0]
@@ -228,7 +228,7 @@ def leg(mesh: Mesh) -> dict[str, int]:
         return start + fraction * (stop - start)
 
     def inside_foot(fraction: float) -> np.ndarray:
-        """A point on the foot's middle line, a fraction of the way from the heel to the ball."""
+        """Return the point of the foot's middle line at a fraction of the way heel to ball."""
         return along(mesh.vertices[heel], ball, fraction) * [1, 0, 1] + offset(
             0.0, sole + 0.02, 0.0
         )
@@ -263,7 +263,7 @@ def leg(mesh: Mesh) -> dict[str, int]:
 
 
 def landmarks(mesh: Mesh) -> dict[str, int]:
-    """All points, right ones mirrored."""
+    """Find all points, right ones by mirroring."""
     singles, sided = trunk_and_head(mesh)
     parts: tuple[Callable[[Mesh], dict[str, int]], ...] = (arm, leg)
     for part in parts:

@@ -1,10 +1,10 @@
-"""Builds a body file with SMPL's array names, to try things that need one where none may be had.
+"""Builds a synthetic body file with SMPL's array names, for tests without SMPL's own files.
 
     python scripts/build_stand_in.py stand_in.npz
 
-The body is nobody's: the bundled one with another mean shape, in another rest pose (arms lower,
+The body is the bundled one with another mean shape, in another rest pose (arms lower,
 feet apart), on another mesh (a vertex in every triangle, a fan for every vertex), with correctives
-by pose and ten shapes, which are the principal ones of bodies that are not all in our own space.
+by pose and ten shapes, the principal ones of bodies that are partly outside our shape space.
 It has 24 joints like SMPL's; nothing of SMPL's files is in it.
 """
 
@@ -22,17 +22,17 @@ from recon.core.skeleton import JOINTS, PARENTS, joint_index
 SHAPES = 10
 BODIES = 300
 LOWERED = 8.0
-"""Degrees by which arms hang lower at rest than ours."""
+"""Degrees by which arms hang lower at rest than the bundled body's."""
 APART = 4.0
 """Degrees by which each leg is turned outwards at rest."""
 WAVE = 0.004
-"""Metres by which smooth waves move the surfaces of drawn bodies."""
+"""Standard deviation of the smooth waves added to the surfaces of drawn bodies, metres."""
 BULGE = 0.02
-"""Metres of correctives of a joint that is turned by a radian, at most."""
+"""Largest corrective of a joint that is turned by a radian, metres."""
 
 
 def build(seed: int = 0, bodies: int = BODIES) -> dict[str, np.ndarray]:
-    """The arrays of the file, by SMPL's names."""
+    """Compute the arrays of the file, keyed by SMPL's names."""
     rng = np.random.default_rng(seed)
     body = BodyModel.load().to(dtype=torch.float64)
     corners = body.faces.numpy()
@@ -58,7 +58,7 @@ def build(seed: int = 0, bodies: int = BODIES) -> dict[str, np.ndarray]:
 
 
 def _at_rest(body: BodyModel, shape: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Surface and joints of one body in the other rest pose."""
+    """Return surface and joints of one body in the other rest pose."""
     turns = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         turns[joint_index(f"{side}_shoulder"), 2] = -sign * np.deg2rad(LOWERED)
@@ -69,7 +69,7 @@ def _at_rest(body: BodyModel, shape: torch.Tensor) -> tuple[np.ndarray, np.ndarr
 
 
 def _waves(skins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Displacements of every body that no shape of ours makes."""
+    """Draw displacements of every body that the bundled body's shapes cannot express."""
     modes = []
     for _ in range(6):
         phase = skins[0] @ rng.normal(0, 8.0, 3) + rng.uniform(0, 2 * np.pi)
@@ -79,7 +79,7 @@ def _waves(skins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _correctives(mean: np.ndarray, weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Displacements where a joint and its parent share the skin."""
+    """Draw pose correctives, largest where a joint and its parent share the skin."""
     found = np.zeros((len(mean), 3, 9 * 23))
     for joint in range(1, len(JOINTS)):
         shared = 4 * weights[:, joint] * weights[:, PARENTS[joint]]
@@ -90,7 +90,7 @@ def _correctives(mean: np.ndarray, weights: np.ndarray, rng: np.random.Generator
 
 
 def _regressor(skins: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Few vertices about every joint that give it in all drawn bodies; two more for hands."""
+    """Fit weights of few vertices to every joint of all drawn bodies; add two joints of hands."""
     found = np.zeros((24, skins.shape[1]))
     centre, mean = joints.mean(0), skins.mean(0)
     for joint in range(len(JOINTS)):
@@ -118,7 +118,7 @@ def _tree() -> np.ndarray:
 
 
 def _fans(faces: np.ndarray) -> np.ndarray:
-    """Triangles between the centres of the triangles around every vertex, in their order."""
+    """Triangulate the centres of the triangles around every vertex as a fan."""
     after: dict[int, dict[int, tuple[int, int]]] = {}
     for number, face in enumerate(faces.tolist()):
         for k in range(3):

@@ -15,9 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = ("recon/", "priors/", "observations/", "training/")
-"""What users notice changes of."""
+"""Folders whose changes users notice."""
 EXEMPT = "no changelog"
-"""A line of a commit's message: nothing that its users notice has changed."""
+"""Line of a commit's message by which it needs no changelog: users notice nothing of it."""
 PIP = ("-m", "pip", "install", "--quiet", "--constraint", "constraints.txt")
 TESTS = ("-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-m")
 PLAIN_KERNELS = {"ATEN_CPU_CAPABILITY": "default", "MKL_CBWR": "COMPATIBLE"}
@@ -43,10 +43,10 @@ def main() -> None:
 
 
 def run(*words: str, **environment: str) -> None:
-    """Run this Python in the root of the checkout.
+    """Run this Python with arguments, in the root of the checkout.
 
     Raises:
-        SystemExit: with its exit status, where it failed.
+        SystemExit: with the exit status, if it is not 0.
     """
     said = [f"{name}={value}" for name, value in environment.items()]
     print("+", *said, "python", *words, flush=True)
@@ -58,13 +58,13 @@ def run(*words: str, **environment: str) -> None:
 
 
 def install() -> None:
-    """Install the package with what it needs, at the versions of constraints.txt."""
+    """Install the package with its dependencies, at the versions of constraints.txt."""
     run("-m", "pip", "install", "--quiet", "--upgrade", "pip>=25.1")
     run(*PIP, "--editable", ".")
 
 
 def develop() -> None:
-    """Install what the other steps need beside the package, and the extra `film`."""
+    """Install what the other steps need besides the package, and the extra `film`."""
     run(*PIP, "--group", "dev", "--editable", "film-models", "--editable", ".[film]")
 
 
@@ -87,15 +87,15 @@ def test() -> None:
 
 
 def numerics(kernels: dict[str, str] = PLAIN_KERNELS) -> None:
-    """Run tests that depend on rounding on other kernels, from inputs off by some units.
+    """Run tests that depend on rounding on other kernels, from inputs changed by 4 ulps.
 
-    Shapes depend on neither, and were checked before.
+    Shapes of arrays are not checked again, since they do not depend on rounding.
     """
     run(*TESTS, "numerics and not slow", "--ulps", "4", JAXTYPING_DISABLE="1", **kernels)
 
 
 def slow() -> None:
-    """Run what `test` leaves out, and `numerics` on one more set of kernels."""
+    """Run the tests marked `slow`, and `numerics` on one more set of kernels."""
     run(*TESTS, "slow")
     numerics(AVX2_KERNELS)
 
@@ -135,7 +135,7 @@ def changelog(root: Path, base: str) -> None:
 
 
 def unlisted(root: Path, base: str) -> list[str]:
-    """Commits since a base that ask for a line of the changelog; none where it has a new one."""
+    """List commits since a base that need a line of the changelog; none if it has a new one."""
     added = git(root, "diff", "--numstat", f"{base}...HEAD", "--", "CHANGELOG.md")
     if added and not added.startswith("0\t"):
         return []
@@ -144,7 +144,7 @@ def unlisted(root: Path, base: str) -> list[str]:
 
 
 def asks(root: Path, commit: str) -> bool:
-    """Whether a commit changes the library, and its message does not say that nobody notices."""
+    """Whether a commit changes the library, and its message does not exempt it."""
     message = git(root, "log", "-1", "--format=%B", commit).splitlines()
     names = git(root, "diff-tree", "-r", "--root", "--no-commit-id", "--name-only", commit)
     exempt = EXEMPT in (line.strip().lower() for line in message)
@@ -152,10 +152,10 @@ def asks(root: Path, commit: str) -> bool:
 
 
 def git(root: Path, *words: str) -> str:
-    """What git says.
+    """Run git; return its output.
 
     Raises:
-        SystemExit: with what it complains of, where it failed.
+        SystemExit: with its error message, if it fails.
     """
     ended = subprocess.run(
         ["git", *words], cwd=root, capture_output=True, check=False, encoding="utf-8"

@@ -1,12 +1,11 @@
-"""Names and arguments that one version of the sources offers and another does not.
+"""Lists names and arguments that one version of the sources offers and another does not.
 
     python -m scripts.compare_interfaces ../v010 .
 
 Reads the sources of `recon`, `priors` and `observations` without importing them, and the table of
-moved modules in docs/migration.md of the new version, for which it was written: every line is
-something that neither that table nor the same name in the same place tells, so it must stand
-there. Private names are left out, and so are names that are only new. Of a name that is elsewhere
-all places are given, of which some may be other things of the same name.
+moved modules in docs/migration.md of the new version. Every line is a change that this table does
+not announce, and that must be added there. Private names are left out, and so are new names. For
+a name that is now elsewhere all places are given, some of which may be other things of that name.
 """
 
 import argparse
@@ -33,7 +32,7 @@ class Offer:
 
 
 def main() -> None:
-    """Print one line for every name that somebody would miss."""
+    """Print one line for every public name whose loss or move is not announced."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
@@ -45,12 +44,12 @@ def main() -> None:
 
 
 def moved(table: str) -> dict[str, tuple[str, ...]]:
-    """The new modules of every old one, of a table in Markdown."""
+    """Parse a table of moved modules in Markdown; return new modules, keyed by the old one."""
     return {old: tuple(_MODULE.findall(new)) for old, new in _ROW.findall(table)}
 
 
 def offers(root: Path) -> list[Offer]:
-    """All public functions, classes and constants of the packages below a folder."""
+    """List all public functions, classes and constants of the packages below a folder."""
     found: list[Offer] = []
     for path in sorted(path for one in PACKAGES for path in (root / one).rglob("*.py")):
         module = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
@@ -60,7 +59,7 @@ def offers(root: Path) -> list[Offer]:
 
 
 def members(node: ast.FunctionDef | ast.ClassDef) -> tuple[str, ...]:
-    """Names that a caller of a function or a user of a class can write."""
+    """List the arguments of a function, or the public fields and methods of a class."""
     if isinstance(node, ast.FunctionDef):
         given = node.args
         return tuple(one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs))
@@ -73,7 +72,7 @@ def members(node: ast.FunctionDef | ast.ClassDef) -> tuple[str, ...]:
 def differences(
     old: list[Offer], new: list[Offer], table: dict[str, tuple[str, ...]]
 ) -> list[str]:
-    """Lists one line for every public name that was removed, lost members or moved unannounced.
+    """List one line for every public name that was removed, lost members or moved unannounced.
 
     A move is announced when the table of modules gives the new place.
     """
@@ -110,7 +109,7 @@ def _offered(module: str, node: ast.stmt) -> list[Offer]:
 
 
 def _with_inherited(one: Offer, new: list[Offer]) -> set[str]:
-    """Members of a class and of those that it derives from."""
+    """Collect the members of a class and of its base classes."""
     bases = [own for own in new if own.name in one.bases and own.name != one.name]
     return {*one.members, *(name for own in bases for name in _with_inherited(own, new))}
 

@@ -3,7 +3,7 @@
     python -m scripts.distributions --out dist
     python -m scripts.distributions --out dist --python python3.12 --any-torch
 
-In each environment the wheel is installed with all that it asks for, at the versions of
+In each environment the wheel is installed with all dependencies, at the versions of
 constraints.txt, and `recon demo`, `recon simulate`, `recon fit` and `recon bench` run; then the
 sdist takes its place and the fit runs again. A Python for which pip finds no torch without CUDA's
 libraries, which are several gigabytes, gets recon without torch: its files are compiled and
@@ -30,13 +30,13 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).parents[1]
 PYTHONS = ("3.11", "3.12", "3.13")
 LARGEST = 40e6
-"""Bytes of the wheel at most."""
+"""Largest size of the wheel, bytes."""
 LIGHT = ("tyro", "rich")
-"""What the command line needs before torch is loaded."""
+"""Packages that the command line needs before torch is loaded."""
 
 
 def main() -> None:
-    """Build, compare, install and run."""
+    """Build wheel and sdist, compare them, and try both with every Python."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def build(source: Path, out: Path) -> tuple[Path, Path]:
-    """The wheel and the sdist of a source tree."""
+    """Build the wheel and the sdist of a source tree."""
     wheel = WheelBuilder(str(source)).build(directory=str(out), versions=["standard"])
     sdist = SdistBuilder(str(source)).build(directory=str(out), versions=["standard"])
     return Path(next(iter(wheel))), Path(next(iter(sdist)))
@@ -88,7 +88,7 @@ def compare(wheel: Path, sdist: Path, folder: Path) -> None:
 
 
 def contents(wheel: Path) -> dict[str, str]:
-    """SHA-256 of every file of a wheel by its name."""
+    """Compute SHA-256 of every file of a wheel, keyed by name."""
     with zipfile.ZipFile(wheel) as archive:
         return {
             name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()
@@ -96,7 +96,7 @@ def contents(wheel: Path) -> dict[str, str]:
 
 
 def found(version: str) -> str | None:
-    """The program of a version of Python, on the path or of pyenv; None where none runs."""
+    """Find the program of a Python version, on the path or in pyenv; None where none runs."""
     if sys.version.startswith(f"{version}."):
         return sys.executable
     kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -111,7 +111,7 @@ def found(version: str) -> str | None:
 
 
 def tried(program: str, wheel: Path, sdist: Path, place: Path, *, any_torch: bool) -> str:
-    """What was installed and ran in an empty environment of one Python, in words."""
+    """Install and run both in an empty environment of one Python; return a sentence on it."""
     ran(program, "-m", "venv", "environment", cwd=place)
     programs = place / "environment" / ("Scripts" if os.name == "nt" else "bin")
     pip, recon = (str(programs / name) for name in ("pip", "recon"))
@@ -148,8 +148,8 @@ def tried(program: str, wheel: Path, sdist: Path, place: Path, *, any_torch: boo
 def torch_is_small(pip: str, constraint: tuple[str, ...], place: Path) -> bool:
     """Whether pip would install torch without the libraries of CUDA.
 
-    Where the index does not serve metadata by itself, pip downloads torch to tell, but nothing
-    that torch asks for.
+    Where the index does not serve metadata by itself, pip downloads torch to find out, but none
+    of its dependencies.
     """
     asked = ("install", "--quiet", "--dry-run", "--no-deps", "--report", "report.json")
     run = subprocess.run(
@@ -161,7 +161,7 @@ def torch_is_small(pip: str, constraint: tuple[str, ...], place: Path) -> bool:
 
 
 def asks_for_no_cuda(report: dict[str, Any]) -> bool:
-    """Whether what pip's report would install asks for none of CUDA's libraries there."""
+    """Whether no package of pip's report depends on CUDA's libraries in that environment."""
     asked = [
         Requirement(text)
         for one in report["install"]
@@ -176,10 +176,10 @@ def asks_for_no_cuda(report: dict[str, Any]) -> bool:
 
 
 def ran(*command: str, cwd: Path) -> str:
-    """What a program wrote; nothing of this checkout is in its way.
+    """Run a program without this checkout on its path; return its output.
 
     Raises:
-        SystemExit: with what it wrote to stderr, where it failed.
+        SystemExit: with its output, if it fails.
     """
     others = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     run = subprocess.run(command, cwd=cwd, env=others, capture_output=True, text=True, check=False)

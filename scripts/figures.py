@@ -1,4 +1,4 @@
-"""How large the project is: what one must read, keep and download, counted by one command.
+"""Measures the size of the project: what one must read, keep and download.
 
     python -m scripts.figures
     python -m scripts.figures --json
@@ -7,7 +7,7 @@
 
 Counted are files that git tracks, as they are in the working tree. `scripts/figures.toml` has for
 each figure the ceiling in force and the value that is aimed at; with --gate the program fails when
-a figure is above its ceiling. Who makes a figure smaller lowers its ceiling in the same commit.
+a figure is above its ceiling. A commit that makes a figure smaller lowers its ceiling.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def counted(root: Path) -> dict[str, float]:
-    """Every figure of a checkout, by its key in MEANINGS."""
+    """Count every figure of a checkout, keyed as in MEANINGS."""
     files = tracked(root)
     python = {name: text_of(root / name) for name in files if name.endswith(".py")}
     of = {name: text for name, text in python.items() if name.split("/")[0] in PACKAGES}
@@ -113,7 +113,7 @@ def counted(root: Path) -> dict[str, float]:
 
 
 def tracked(root: Path) -> list[str]:
-    """Files that git tracks and that are there, by their names with slashes."""
+    """List the files that git tracks and that exist, by their names with slashes."""
     command = ["git", "ls-files", "-z"]
     found = subprocess.run(command, cwd=root, capture_output=True, check=True).stdout.decode()
     return [name for name in found.split("\0") if name and (root / name).is_file()]
@@ -124,13 +124,13 @@ def text_of(path: Path) -> str:
 
 
 def is_document(name: str) -> bool:
-    """Whether it is README.md or a page of docs/ other than the list of changes to make."""
+    """Whether a file is README.md or a page of docs/ other than migration.md."""
     page = name.startswith("docs/") and name.endswith(".md")
     return name == "README.md" or (page and name != "docs/migration.md")
 
 
 def bare_strings(tree: ast.AST) -> Iterator[ast.Expr]:
-    """Docstrings: of modules, classes and functions, and those below fields and constants."""
+    """Yield docstrings of modules, classes and functions, and those below fields and constants."""
     for node in ast.walk(tree):
         match node:
             case ast.Expr(value=ast.Constant(value=str())):
@@ -138,14 +138,14 @@ def bare_strings(tree: ast.AST) -> Iterator[ast.Expr]:
 
 
 def height(node: ast.Expr) -> int:
-    """Lines that a statement stands on."""
+    """Return the number of lines of a statement."""
     return (node.end_lineno or node.lineno) - node.lineno + 1
 
 
 def statements(tree: ast.AST) -> int:
-    """Statements, compound ones and those inside them, less docstrings of what has a body.
+    """Count statements, also inside others, but no docstrings of modules, classes, functions.
 
-    Strings below fields and constants count, as a field without words would be none the smaller.
+    Docstrings of fields and constants count.
     """
     nodes = list(ast.walk(tree))
     having = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
@@ -154,20 +154,20 @@ def statements(tree: ast.AST) -> int:
 
 
 def protocols(tree: ast.AST) -> int:
-    """Classes that derive from `Protocol` or `Protocol[...]` directly."""
+    """Count classes that derive from `Protocol` or `Protocol[...]` directly."""
     classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
     bases = ([ast.unparse(base).partition("[")[0] for base in one.bases] for one in classes)
     return sum(bool({"Protocol", "typing.Protocol"} & set(names)) for names in bases)
 
 
 def verbs(root: Path) -> int:
-    """Verbs that `recon --help` lists in its usage."""
+    """Count the verbs that `recon --help` lists in its usage."""
     usage = run(root, "-m", "recon", "--help").partition("{")[2].partition("}")[0]
     return len(usage.split(","))
 
 
 def run(root: Path, *words: str) -> str:
-    """What this Python prints in a fresh process that imports the packages of a checkout."""
+    """Run this Python in a new process that imports a checkout's packages; return its output."""
     environment = {**os.environ, "PYTHONPATH": str(root), "PYTHONSAFEPATH": "1"}
     command = [sys.executable, *words]
     return subprocess.run(
@@ -176,11 +176,11 @@ def run(root: Path, *words: str) -> str:
 
 
 def first_fit(root: Path) -> dict[str, int]:
-    """What a first fit loads and enters, with the public names; needs a fresh process.
+    """Count what a first fit loads and enters, and public names; needs a new process.
 
     The joints are arrays in memory: a second of the bundled walk with noise of 2 cm, taken from
-    its file by numpy, as our readers of motions belong to no fit of joints. Counted as entered is
-    every function and class body of ours, as `sys.setprofile` sees them from the lookup of
+    its file by numpy, as a fit of joints needs no reader of motions. Counted as entered is every
+     function and class body of ours, as `sys.setprofile` sees them from the lookup of
     `recon.fit` on, imports included; lambdas and comprehensions are not counted.
     """
     import numpy as np
@@ -225,7 +225,7 @@ def first_fit(root: Path) -> dict[str, int]:
 
 
 def public_names(package: Any) -> list[str]:
-    """Names that a package offers itself, those loaded on first use among them."""
+    """List the names that a package itself offers, also those loaded on first use."""
     at_hand = vars(package)
     homes = {name: str(getattr(at_hand.get(name), "__module__", "")) for name in dir(package)}
     return [
@@ -236,7 +236,7 @@ def public_names(package: Any) -> list[str]:
 
 
 def table(figures: Mapping[str, float], limits: Mapping[str, Mapping[str, float]]) -> str:
-    """A line a figure: its value, the ceiling in force, the value asked for, its meaning."""
+    """Format a line per figure: value, the ceiling in force, the value asked for, its meaning."""
     rows: list[Iterable[str]] = [("now", "ceiling", "asked", "")]
     for key, value in figures.items():
         limit = limits.get(key, {})
@@ -247,7 +247,7 @@ def table(figures: Mapping[str, float], limits: Mapping[str, Mapping[str, float]
 
 
 def exceeded(figures: Mapping[str, float], limits: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """A sentence for every figure that is above its ceiling."""
+    """Return a sentence for every figure that is above its ceiling."""
     return [
         f"{key}: {figures[key]:,} is above the ceiling of {limit['ceiling']:,}; make it smaller, "
         f"or raise the ceiling in scripts/{LIMITS.name} and say why in the commit"

@@ -25,7 +25,7 @@ def main() -> None:
 
 
 def sign(path: Path) -> str:
-    """What was done to one file.
+    """Add or check the checksum of one file; return what was done.
 
     Raises:
         ValueError: when it is no weights file, its checksum is wrong, or a tensor changed.

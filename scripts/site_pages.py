@@ -1,4 +1,4 @@
-"""A hook of mkdocs: files outside of docs/ become pages, and links to them lead there.
+"""Turns files outside of docs/ into pages of the site, and adapts links to them, for mkdocs.
 
 The README is the front page, the cards of the weights and the examples have pages of their own.
 Documents name each other by their places in the repository, so links work there and on the site.
@@ -18,7 +18,7 @@ _CODE = re.compile(r"(^ *```.*?^ *```|`[^`\n]+`)", re.S | re.M)
 
 
 def places() -> dict[str, str]:
-    """Pages in the site of the repository's files that are not in docs/."""
+    """Return the site's pages of files that are not in docs/, keyed by path of the file."""
     cards = {
         **{f"priors/weights/{p.name}": f"cards/{p.name}" for p in _sorted("priors/weights/*.md")},
     }
@@ -40,7 +40,7 @@ def _sorted(pattern: str) -> list[Path]:
 
 
 def markdown(path: str) -> str:
-    """A file of the repository as a page: markdown is one already, all else is shown as it is."""
+    """Return a file of the repository as Markdown; other formats become a block of code."""
     text = (ROOT / path).read_text(encoding="utf-8")
     if path.endswith(".md"):
         return text
@@ -56,14 +56,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(text: str, page: Page, **_: object) -> str:
-    """Links between files of the repository, as links between pages of the site."""
+    """Convert links between files of the repository to links between pages of the site."""
     sources = {target: source for source, target in places().items()}
     page_path = page.file.src_uri
     return relinked(text, sources.get(page_path, f"docs/{page_path}"), page_path)
 
 
 def relinked(text: str, source: str, page: str) -> str:
-    """The text of the file `source` for the page `page`, both relative to their roots."""
+    """Convert the links in a text of the file `source` to those of its page `page`."""
     parts = _CODE.split(text)
     return "".join(
         part if _CODE.fullmatch(part) else _LINK.sub(lambda m: _moved(m, source, page), part)
@@ -72,7 +72,7 @@ def relinked(text: str, source: str, page: str) -> str:
 
 
 def _moved(match: re.Match[str], source: str, page: str) -> str:
-    """One link; those to the web, and to what the site does not have, stay as they are."""
+    """Convert one link; those to the web and to files without a page stay as they are."""
     before, link, after = match.groups()
     if ":" in link:
         return match.group()

@@ -25,7 +25,7 @@ MIN_WORDS = 4
 """Texts with fewer words say nothing that could be misunderstood."""
 
 Place = tuple[str, str]
-"""Where a text stands, and the text."""
+"""The place of a text (file and line or name), and the text."""
 
 
 def main() -> None:
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def drawn(count: int, seed: str) -> list[Place]:
-    """Texts drawn without repetition, in turns from every kind; the same seed draws the same."""
+    """Draw texts without repetition, in turns from every kind; a seed always draws the same."""
     names = _git("ls-files").split("\n")
     code = [name for name in names if name.endswith(".py") and name.split("/")[0] in PACKAGES]
     pages = [n for n in names if n.endswith(".md") and n.split("/")[0] in ("docs", "README.md")]
@@ -61,7 +61,7 @@ def drawn(count: int, seed: str) -> list[Place]:
 
 
 def docstrings(name: str) -> Iterator[Place]:
-    """First paragraphs of the docstrings of a file."""
+    """Yield the first paragraphs of the docstrings of a file."""
     for node in ast.walk(_tree(name)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             text = (ast.get_docstring(node) or "").split("\n\n")[0]
@@ -70,7 +70,7 @@ def docstrings(name: str) -> Iterator[Place]:
 
 
 def comments(name: str) -> Iterator[Place]:
-    """Comments with the line of code that follows them."""
+    """Yield comments with the line of code that follows them."""
     lines = _text(name).splitlines()
     for token in tokenize.generate_tokens(io.StringIO(_text(name)).readline):
         row = token.start[0]
@@ -82,7 +82,7 @@ def comments(name: str) -> Iterator[Place]:
 
 
 def messages(name: str) -> Iterator[Place]:
-    """Texts of errors that a file raises, as they are written."""
+    """Yield the texts of errors that a file raises, as they are written."""
     for node in ast.walk(_tree(name)):
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
             text = ast.unparse(node.exc.args[0])
@@ -91,7 +91,7 @@ def messages(name: str) -> Iterator[Place]:
 
 
 def definitions(name: str) -> Iterator[Place]:
-    """Functions and classes by their signature and first statement: do the names tell?"""
+    """Yield functions and classes by signature and first statement: do the names tell?"""
     lines = _text(name).splitlines()
     for node in ast.walk(_tree(name)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -103,7 +103,7 @@ def definitions(name: str) -> Iterator[Place]:
 
 
 def paragraphs(name: str) -> Iterator[Place]:
-    """Paragraphs and lists of a page, without headings, tables and code."""
+    """Yield paragraphs and lists of a page, without headings, tables and code."""
     text = re.sub(r"```.*?```", "", _text(name), flags=re.DOTALL)
     for part in map(str.strip, text.split("\n\n")):
         other = part.startswith(("#", "|", "<", "!", ":::"))

@@ -1,4 +1,4 @@
-"""A glTF file as FBX, by Blender (4.2 or newer), without its window.
+"""Converts a glTF file to FBX by Blender (4.2 or newer), without its window.
 
     blender --background --python scripts/to_fbx.py -- motion.glb motion.fbx 30
 

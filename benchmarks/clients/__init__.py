@@ -1,1 +1,1 @@
-"""The programs that our files are for, run on them: Blender, three.js, OpenSim, USD and others."""
+"""Runs the programs that read our files on them: Blender, three.js, OpenSim, USD and others."""

@@ -1,12 +1,12 @@
-"""Our files in the programs they are for: Blender, three.js, OpenSim, OpenUSD and validators.
+"""Compares our exported files, as Blender, three.js, OpenSim and OpenUSD read them, with ours.
 
     python -m benchmarks.clients --python CLIENTS/bin/python --blender BLENDER/bin/python
         --node CLIENTS/node_modules --out benchmarks/results
 
-`make clients` installs them and runs this. Every client runs in a process of its own, without
-recon, and says where it puts the joints, the skin or the segments of the bundled clip; the errors
-against our own body are written with the versions of the clients. Exit code 1 where one is above
-its limit.
+`make clients` installs these programs and runs this. Every client runs in a process of its own,
+without recon, and returns where it puts the joints, the skin or the segments of the bundled clip;
+the errors against our own body are written with the versions of the clients. The exit code is 1 if
+an error is above its limit.
 """
 
 import json
@@ -32,28 +32,28 @@ from recon.export.motion import export_file
 from recon.export.tables import markers_of, places_of
 from recon.formats.motions import load_motion
 
-_ABOVE = {
+_PARENTS = {
     "femur": ("pelvis", "hip"), "tibia": ("femur", "knee"), "foot": ("tibia", "ankle"),
     "toes": ("foot", "foot"), "humerus": ("thorax", "shoulder"), "forearm": ("humerus", "elbow"),
     "hand": ("forearm", "wrist"),
 }  # fmt: skip
-"""Parent of every segment, and the joint at which it begins."""
-_JOINTS = {
+"""Parent of every segment, and the joint at which the segment begins."""
+_FIRST_JOINTS = {
     "femur": "hip", "tibia": "knee", "foot": "ankle", "toes": "foot", "humerus": "shoulder",
     "forearm": "elbow", "hand": "wrist",
 }  # fmt: skip
-_FOLLOWED = {"pelvis": "pelvis", "femur": "femur", "tibia": "tibia", "foot": "calcn"}
-"""Segments whose markers inverse kinematics follows, and what the model calls them."""
+_MARKED = {"pelvis": "pelvis", "femur": "femur", "tibia": "tibia", "foot": "calcn"}
+"""Segments whose markers inverse kinematics follows, and their names in OpenSim's model."""
 
 
 def turned_segments(motion: Motion, body: BodyModel) -> dict[str, np.ndarray]:
-    """Axes of every segment in every frame, in OpenSim's ground (y up)."""
+    """Return the axes of every segment in every frame, in OpenSim's ground frame (y up)."""
     axes = posed_axes(opensim_axes(body, motion.shape), body, motion)
     return {name: to_z_up("y").T @ turn for name, turn in axes.items()}
 
 
 def segment_sizes(motion: Motion, body: BodyModel) -> dict[str, list[float]]:
-    """Places where segments begin in their parents' axes, metres."""
+    """Return the places (m) where segments begin, in their parents' axes."""
     axes = opensim_axes(body, motion.shape)
     rest = body.rest_joints(motion.shape).numpy()
 
@@ -63,11 +63,11 @@ def segment_sizes(motion: Motion, body: BodyModel) -> dict[str, list[float]]:
         if segment == "thorax":
             return rest[joint_index("spine1")]
         name, end = segment.split("_")
-        return rest[joint_index(f"{'right' if end == 'r' else 'left'}_{_JOINTS[name]}")]
+        return rest[joint_index(f"{'right' if end == 'r' else 'left'}_{_FIRST_JOINTS[name]}")]
 
     found = {"torso": (axes["pelvis"].T @ (begin("thorax") - begin("pelvis"))).tolist()}
     for end in "rl":
-        for name, (above, _) in _ABOVE.items():
+        for name, (above, _) in _PARENTS.items():
             parent = above if above in ("pelvis", "thorax") else f"{above}_{end}"
             step = begin(f"{name}_{end}") - begin(parent)
             found[f"{name}_{end}"] = (axes[parent].T @ step).tolist()
@@ -75,7 +75,7 @@ def segment_sizes(motion: Motion, body: BodyModel) -> dict[str, list[float]]:
 
 
 def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[float]]]:
-    """BSM's markers on pelvis and legs: the model's body, and the place in its axes, metres."""
+    """Return BSM's markers on pelvis and legs: the model's body, and the place in its axes (m)."""
     axes = opensim_axes(body, motion.shape)
     rest = body.rest_joints(motion.shape).numpy()
     segments = {"pelvis": "pelvis"} | {
@@ -96,13 +96,13 @@ def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[f
                 continue
             begin = spines(motion, body) if segment == "pelvis" else rest[bone]
             point = body.rest_vertices(motion.shape, vertex).numpy()[0]
-            name = _FOLLOWED[segment.split("_")[0]] + segment.removeprefix(segment.split("_")[0])
+            name = _MARKED[segment.split("_")[0]] + segment.removeprefix(segment.split("_")[0])
             found[label] = (name, (axes[segment].T @ (point - begin)).tolist())
     return found
 
 
 def spines(motion: Motion, body: BodyModel) -> np.ndarray:
-    """The middle of the frontal iliac spines of the unposed body, metres."""
+    """Return the middle (m) of the anterior superior iliac spines of the unposed body."""
     index = torch.tensor([landmark("left_asis"), landmark("right_asis")])
     return body.rest_vertices(motion.shape, index).numpy().mean(0)
 
@@ -115,12 +115,12 @@ LIMITS = {
     "fbx_blender_mm": 0.1, "usd_mm": 0.1, "usd_skin_mm": 0.1, "opensim_three_axes_deg": 0.01,
     "opensim_trc_mm": 0.01, "gltf_issues": 0, "usd_messages": 0, "opensim_unknown_coordinates": 2,
 }  # fmt: skip
-"""The largest value of every figure that has one; patellae are two coordinates that a skeleton
+"""Largest allowed value of each figure that has one; patellae are two coordinates that a skeleton
 without muscles does not have."""
 
 
 def main() -> None:
-    """Export, ask every client, compare, print and write."""
+    """Export the demo, run every client, compare, print and write the table."""
     asks = parser(__doc__)
     asks.add_argument("--python", type=Path, required=True, help="has opensim and usd-core")
     asks.add_argument("--blender", type=Path, required=True, help="has bpy")
@@ -152,12 +152,12 @@ def main() -> None:
 
 
 def _told(value: Any) -> Cell:
-    """Numbers as they are; the rest as text."""
+    """Return a number as it is, and any other value as text."""
     return value if isinstance(value, int | float) else str(value)
 
 
 def asked(*command: str | Path) -> dict[str, Any]:
-    """What a client says: JSON in the last line that it writes."""
+    """Run a client, and return the JSON in the last line that it prints."""
     words = [str(word) for word in command]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode != 0:
@@ -170,7 +170,7 @@ def joints_of(motion: Motion, body: BodyModel) -> np.ndarray:
 
 
 def farthest(found: np.ndarray, truth: np.ndarray) -> float:
-    """Millimetres."""
+    """Return the largest distance in millimetres."""
     return float(np.linalg.norm(found - truth, axis=-1).max() / MILLIMETRE)
 
 
@@ -303,7 +303,7 @@ SEGMENTS = {
         }.items()
     },
 }  # fmt: skip
-"""Bodies of the model, and our segments."""
+"""Bodies of OpenSim's model, and our names of these segments."""
 
 
 def read_mot(path: Path) -> np.ndarray:
@@ -313,7 +313,7 @@ def read_mot(path: Path) -> np.ndarray:
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Degrees."""
+    """Return the angle in degrees between two rotation matrices."""
     sine = np.linalg.norm(a - b, axis=(-2, -1)) * 0.5**1.5
     return np.rad2deg(2 * np.arcsin(np.clip(sine, 0, 1)))
 

@@ -1,1 +1,1 @@
-"""Films: real ones against calibrated views, and rendered ones against the truth."""
+"""Compares fits of films with the truth: real films with calibrated views, and rendered films."""

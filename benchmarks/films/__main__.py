@@ -1,4 +1,4 @@
-"""How true is the motion of `recon fit film.mp4`?
+"""Measures the errors of motions that `recon fit film.mp4` finds.
 
     python -m benchmarks.films real OBSERVATIONS --out FOLDER
     python -m benchmarks.films real OBSERVATIONS --cases nothing --detections FOLDER
@@ -16,7 +16,7 @@ from benchmarks.protocol import parser
 
 
 def main() -> None:
-    """Measure one part, print and write."""
+    """Run one part, print and write its table."""
     arguments = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

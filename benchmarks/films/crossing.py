@@ -1,9 +1,9 @@
-"""Rendered films of two people who cross before a still camera, partly out of the image.
+"""Measures fits of rendered films of two people who cross before a still camera.
 
-Two people of drawn shapes walk past each other in a drawn room, at different distances from a
-camera that shows less than their paths. `recon.fit_people` gets the film of both, and a film of
-each alone, rendered likewise, is the comparison. Errors are about the pelvis in the camera's
-frame, over the frames that a person's own result has, and in which their pelvis is in the image.
+Two people of random shapes walk past each other in a random room, at different distances from a
+camera that shows less than their paths. `recon.fit_people` gets the film of both, and for
+comparison a film of each alone, rendered likewise. Errors are about the pelvis in the camera's
+frame, over the frames in a person's own result in which their pelvis is in the image.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from recon.people.together import fit_people, load_people
 
 SIZE = (720, 540)
 LEAST_WALK, APART = 2.0, (0.5, 1.2)
-"""Metres from the first to the last place of somebody who walks, and between the paths of two."""
+"""Least distance (m) between the ends of a walk, and range of the distance (m) of two paths."""
 COLUMNS: Metrics = {
     "followed": ("followed %", 100, 0), "error": ("about pelvis cm", 100, 1),
     "alone": ("alone cm", 100, 1), "ratio": ("ratio", 1, 2),
@@ -39,14 +39,14 @@ COLUMNS: Metrics = {
 
 
 def add_arguments(arguments: argparse.ArgumentParser) -> None:
-    """What `crossing` takes beside the corpus."""
+    """Add the options of `crossing` to its command line."""
     arguments.add_argument("--part", choices=("test", "validation"), default="test")
     arguments.add_argument("--pairs", type=int, default=5)
     arguments.add_argument("--films", type=Path, required=True, help="folder that keeps films")
 
 
 def measure(given: argparse.Namespace) -> None:
-    """Film, fit, compare, print and write."""
+    """Render, fit, compare, print and write the table."""
     body, rows = BodyModel.load(), list[list[Cell]]()
     windows = load_windows(given.corpus, Splits.load(), given.part, body, SEED, FRAMES)
     for scene in scenes(windows, given.pairs, body):
@@ -60,14 +60,14 @@ def measure(given: argparse.Namespace) -> None:
 
 @dataclass(frozen=True)
 class Crossing:
-    """Films of both people and of each alone."""
+    """Films of two people together and of each alone, with the truth."""
 
     both: Shot
     alone: tuple[Shot, Shot]
 
 
 def scenes(windows: TrueWindows, pairs: int, body: BodyModel) -> Iterator[Crossing]:
-    """So many pairs of people who walk; each person walks in one pair."""
+    """Yield pairs of people who walk; each person walks in one pair."""
     steps = windows.truth.translation[:, -1, :2] - windows.truth.translation[:, 0, :2]
     order = np.random.default_rng(SEED).permutation(len(windows.names))
     walks = [int(row) for row in order if steps[row].norm() > LEAST_WALK]
@@ -91,7 +91,7 @@ def scenes(windows: TrueWindows, pairs: int, body: BodyModel) -> Iterator[Crossi
 
 
 def walked(motion: Motion, body: BodyModel, back: bool, depth: float) -> Motion:
-    """A walk along x (or against it) through the middle, so far behind the origin, metres."""
+    """Turn and move a walk to lie along x (or against it), `depth` metres behind the origin."""
     pelvis = body.pose(motion).joints[:, 0]
     step = pelvis[-1, :2] - pelvis[0, :2]
     angle = np.pi * back - float(torch.atan2(step[1], step[0]))
@@ -105,7 +105,7 @@ def walked(motion: Motion, body: BodyModel, back: bool, depth: float) -> Motion:
 
 
 def before(rng: np.random.Generator) -> Camera:
-    """A still camera that looks across the paths."""
+    """Return a still camera at a random place that looks across the paths."""
     matrix = torch.from_numpy(guessed_camera(SIZE).camera_matrix).float()
     matrix[[0, 1], [0, 1]] *= rng.uniform(0.85, 1.15)
     place = torch.tensor([rng.uniform(-0.6, 0.6), -rng.uniform(3.0, 3.8), rng.uniform(1.1, 1.7)])
@@ -116,7 +116,7 @@ def before(rng: np.random.Generator) -> Camera:
 def judged(
     scene: Crossing, films: Path, body: BodyModel
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Rows of both people."""
+    """Fit the films of one pair, and yield a row of metrics for each person."""
     found = [seen(one) for one in fitted(scene.both.film(films), body)]
     for letter, shot in zip("ab", scene.alone, strict=True):
         true = in_camera(body.pose(shot.truth).joints, shot.camera)
@@ -135,16 +135,16 @@ def judged(
 
 
 def fitted(film: Path, body: BodyModel) -> list[recon.Result]:
-    """Everybody in a film."""
+    """Fit all people in a film."""
     return list(fit_people(load_people([film], body=body), body=body))
 
 
 Seen = tuple[Tensor, Tensor]
-"""Frames in which somebody was found (time), and their joints in the camera's frame."""
+"""Frames in which a person was found (time), and the person's joints in the camera's frame."""
 
 
 def seen(result: recon.Result) -> Seen:
-    """What a fit found, on the film's frames."""
+    """Return the result of a fit on the film's frames, in the camera's frame."""
     first, count = round(result.motion.start_time * FPS), result.motion.frames
     kept, joints = torch.zeros(FRAMES, dtype=torch.bool), torch.zeros(FRAMES, 22, 3).double()
     last = min(first + count, FRAMES)
@@ -156,22 +156,22 @@ def seen(result: recon.Result) -> Seen:
 
 
 def in_camera(joints: Tensor, camera: Camera) -> Tensor:
-    """Joints in the frame of a still camera."""
+    """Transform joints to the frame of a still camera."""
     return so3.transform(camera.T_camera_world[0].double(), joints.double())
 
 
 def shown(points: Tensor, camera: Camera) -> Tensor:
-    """Which points are in the image, one a frame."""
+    """Return a mask of the points, one per frame, that are in the image."""
     pixels = camera.project(points[:, None]).pixels[:, 0]
     return ((pixels > 0) & (pixels < torch.tensor(SIZE))).all(-1)
 
 
 def nearness(one: Seen, true: Tensor) -> float:
-    """How far a result is from somebody: directions of the pelvis from the camera, radians."""
+    """Return the mean angle (rad), seen from the camera, between two paths of a pelvis."""
     ways = [torch.nn.functional.normalize(j[one[0], 0], dim=-1) for j in (one[1], true)]
     return float((ways[0] - ways[1]).norm(dim=-1).mean())
 
 
 def error(one: Seen, true: Tensor, kept: Tensor) -> float:
-    """Mean distance of joints about the pelvis, metres."""
+    """Return the mean distance of joints about the pelvis (m)."""
     return float(about_pelvis(one[1][kept], true[kept]).mean())

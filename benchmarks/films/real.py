@@ -1,12 +1,12 @@
-"""Real films of calibrated cameras against the fit of others' detections.
+"""Compares fits of real films with fits of other detections in calibrated views.
 
 One person balances before three cameras whose calibration is known; in another recording a woman,
-drawn into the films half as large as a person, moves before him. The reference of a film of one is
-`recon.fit` of OpenPose's detections in the other calibrated views, that of a film of two of all
-three. Beside every fit of the film stands the fit of OpenPose's detections of the same view.
+drawn into the films half as large as a person, moves before him. The reference of a film of one
+person is `recon.fit` of OpenPose's detections in the other calibrated views, that of a film of two
+in all three. Besides every fit of a film there is one of OpenPose's detections of the same view.
 Errors are over 22 joints in the camera's frame, about the pelvis and after a similarity, with one
-clock offset per fit, since films and detections begin up to 2.5 frames apart. Reprojections are
-medians, in pixels of the detections that were fitted.
+clock offset per fit, since films and detections begin up to 2.5 frames apart. Reprojection errors
+are medians, in pixels of the detections that were fitted.
 """
 
 import argparse
@@ -37,10 +37,10 @@ FPS, CAMERAS = 60.0, (1, 2, 3)
 ONE, TWO = "singleperson", "multiperson"
 ZIPS = {ONE: "single_balancing.zip", TWO: "multi_participants12.zip"}
 LATEST, STEP = 6.0, 0.5
-"""Frames by which a clock may be off, and the steps in which its offset is looked for."""
+"""Largest tested clock offset, and the step between tested ones, in frames."""
 LEFT, RIGHT = (1, 4, 7, 10), (2, 5, 8, 11)
 KNOWN = ("nothing", "height", "lens", "pose")
-"""What is given with one film."""
+"""Knowledge that is given with one film."""
 CASES = (*KNOWN, "three", "found", "two", "two-three")
 COLUMNS: Metrics = {
     "error": ("about pelvis cm", 100, 1), "aligned": ("Procrustes cm", 100, 1),
@@ -52,28 +52,29 @@ COLUMNS: Metrics = {
     "turned": ("cameras turned °", 1, 1), "apart": ("and apart %", 100, 1),
     "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
-"""`beside all views` is the error against the fit of all three views, this one among them, and
-`height, std` by how many of its own standard deviations the height is off. Of cameras that were
-found, `turned` and `apart` are the largest errors of a pair's relative turn and distance."""
+"""Columns of the table: `beside all views` is the error against the fit of all three views, this
+one among them, and `height, std` the error of the height in its own standard deviations. Of
+cameras that were found, `turned` and `apart` are the largest errors of a pair's relative rotation
+and distance."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Where the detections or films of every trial and camera are, and the calibration."""
+    """Paths of detections and films by trial and camera, and the calibration."""
 
     calibration: Path
     openpose: Mapping[tuple[str, int], Path]
     films: Mapping[tuple[str, int], Path]
-    """Films, or files of detections in their place; their names are those of the cameras."""
+    """Films, or files of detections instead; their names are those of the cameras."""
     body: recon.BodyModel
 
     def pose(self, camera: int) -> Float[Tensor, "4 4"]:
-        """T_camera_world."""
+        """Return T_camera_world of a camera."""
         found = load_cameras(self.calibration).cameras[f"cam_0{camera}"].T_camera_world
         return torch.from_numpy(np.asarray(found)).double().reshape(4, 4)
 
     def given(self, known: str, camera: int, tall: float) -> dict[str, Any]:
-        """Options of `recon.fit` for one film of which so much is known."""
+        """Return options of `recon.fit` for one film, by what is known of it."""
         if known == "pose":
             return {"camera": self.calibration}
         if known == "lens":
@@ -86,7 +87,7 @@ class Scene:
 
 
 def add_arguments(arguments: argparse.ArgumentParser) -> None:
-    """What `real` takes beside the folder of recordings."""
+    """Add the options of `real` to its command line."""
     arguments.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     arguments.add_argument("--cameras", nargs="+", type=int, choices=CAMERAS, default=CAMERAS)
     add_detections(arguments)
@@ -95,14 +96,14 @@ def add_arguments(arguments: argparse.ArgumentParser) -> None:
 
 
 def add_detections(arguments: argparse.ArgumentParser) -> None:
-    """The choice of detections in place of films."""
+    """Add the option to use files of detections instead of films."""
     arguments.add_argument(
         "--detections", type=Path, help="folder of singleperson_cam01.npz and so on, for films"
     )
 
 
 def measure(given: argparse.Namespace) -> None:
-    """Fit, compare, print and write."""
+    """Fit, compare, print and write the table."""
     source = given.observations / "pose2sim"
     with tempfile.TemporaryDirectory() as name:
         scene = laid_out(source, given.detections, Path(name))
@@ -119,7 +120,7 @@ def measure(given: argparse.Namespace) -> None:
 
 
 def laid_out(source: Path, detections: Path | None, folder: Path) -> Scene:
-    """Everything below one folder, with the names of the calibration's cameras."""
+    """Arrange all files below one folder, with the names of the calibration's cameras."""
     calibration = folder / "calibration.toml"
     calibration.write_bytes((source / "Calib_qualisys.toml").read_bytes())
     openpose: dict[tuple[str, int], Path] = {}
@@ -143,7 +144,7 @@ def laid_out(source: Path, detections: Path | None, folder: Path) -> Scene:
 
 @dataclass(frozen=True)
 class Reference:
-    """The motion that detections of calibrated views give, in their world."""
+    """Motion that is fitted to detections of calibrated views, in their world."""
 
     joints: Float[Tensor, "time 22 3"]
     contacts: Float[Tensor, "time 22"]
@@ -151,13 +152,13 @@ class Reference:
 
     @classmethod
     def of(cls, result: recon.Result) -> "Reference":
-        """What is kept of a fit."""
+        """Take joints, contacts and height from a fit."""
         tall = float(result.body.height(result.motion.shape))
         return cls(result.joints.double(), result.contacts, tall)
 
 
 def references(scene: Scene, trial: str, cameras: Sequence[int], kept: Path | None) -> Any:
-    """Of everybody in OpenPose's detections in some calibrated views, longest path first."""
+    """Fit everybody in OpenPose's detections in some calibrated views, longest path first."""
     name = f"{trial}-{''.join(map(str, cameras))}.pt"
     if kept is not None and (kept / name).is_file():
         return [Reference(**own) for own in torch.load(kept / name)]
@@ -175,7 +176,7 @@ def references(scene: Scene, trial: str, cameras: Sequence[int], kept: Path | No
 
 
 def moved(joints: Float[Tensor, "time 22 3"]) -> float:
-    """The mean length of the joints' paths, metres."""
+    """Return the mean length (m) of the joints' paths."""
     return float(joints.diff(dim=0).norm(dim=-1).sum(0).mean())
 
 
@@ -184,7 +185,7 @@ def measured(
     detectors: Mapping[str, Mapping[tuple[str, int], Path]],
     given: argparse.Namespace,
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Every row's title and numbers, SI units."""
+    """Yield every row's title and numbers (SI units)."""
     cases, kept = given.cases, given.references
     (whole,) = references(scene, ONE, CAMERAS, kept)
     for camera in given.cameras if {*cases} & {*KNOWN} else ():
@@ -220,7 +221,7 @@ def measured(
 def fitted(
     paths: Path | Sequence[Path], scene: Scene, camera: int, options: Mapping[str, Any]
 ) -> tuple[recon.Result, float]:
-    """A fit, and the processor's seconds that it took."""
+    """Return a fit and its CPU seconds."""
     began = time.process_time()
     result = recon.fit(paths, body=scene.body, **reading(paths, camera, options))  # pyright: ignore[reportArgumentType]
     return result, time.process_time() - began
@@ -229,7 +230,7 @@ def fitted(
 def reading(
     paths: Path | Sequence[Path], camera: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What a film tells by itself, for files of detections."""
+    """Add the frame rate and image size that files of detections lack to the options of a fit."""
     first = paths if isinstance(paths, Path) else paths[0]
     how = dict(options)
     if first.suffix != ".mp4":
@@ -240,7 +241,7 @@ def reading(
 
 
 def of_found(films: Sequence[Path], scene: Scene, whole: Reference) -> dict[str, float]:
-    """A row of films whose cameras are found from the person in them."""
+    """Return a row for films whose cameras are found from the person in them."""
     began, rate = time.process_time(), None if films[0].suffix == ".mp4" else FPS
     rig = recon.calibrate(films, height=whole.tall, frame_rate=rate)
     spent = time.process_time() - began
@@ -264,7 +265,7 @@ def of_people(
     detector: str, paths: Mapping[tuple[str, int], Path], cameras: Sequence[int], scene: Scene,
     everyone: Sequence[Reference],
 ) -> Iterator[tuple[str, dict[str, float]]]:  # fmt: skip
-    """Rows of the people in the reference, each beside whom it resembles most."""
+    """Yield rows of the people in the reference, each compared with the most similar result."""
     films = [paths[TWO, camera] for camera in cameras]
     alone = len(cameras) == 1
     options = {} if alone else {"camera": scene.calibration}
@@ -286,7 +287,7 @@ def compared(
     camera: int,
     pose: Tensor | None = None,
 ) -> dict[str, float]:
-    """Errors of a fit in the camera's frame at the clock offset at which they are least.
+    """Return errors of a fit in the camera's frame, at the best clock offset.
 
     `pose` is T_camera_world of a camera that was found before the fit.
     """
@@ -330,12 +331,12 @@ def compared(
 
 
 def about_pelvis(found: Tensor, true: Tensor) -> Float[Tensor, "time 22"]:
-    """Distances of joints about the pelvis, metres."""
+    """Return distances of joints about the pelvis (m)."""
     return point_errors(root_aligned(found), root_aligned(true))
 
 
 def height_std(result: recon.Result) -> float | None:
-    """Standard deviation of the height that a fit states, metres; None where it states none."""
+    """Return the standard deviation (m) of the height that a fit states, or None."""
     if result.shape_std is None:
         return None
     shape = result.motion.shape.detach().clone().requires_grad_()
@@ -344,7 +345,7 @@ def height_std(result: recon.Result) -> float | None:
 
 
 def exchanged_sides(found: Tensor, true: Tensor) -> float:
-    """Share of the frames whose legs would be nearer to the truth if left were right."""
+    """Return the share of frames in which the legs fit better with left and right exchanged."""
     legs, swapped = (*LEFT, *RIGHT), true.clone()
     swapped[:, legs] = true[:, (*RIGHT, *LEFT)]
     same, other = (about_pelvis(found, own)[:, legs].mean(-1) for own in (true, swapped))
@@ -352,7 +353,7 @@ def exchanged_sides(found: Tensor, true: Tensor) -> float:
 
 
 def leg_length(joints: Float[Tensor, "time 22 3"]) -> float:
-    """Mean of thighs and shanks, metres."""
+    """Return the mean length (m) of thigh and shank together."""
     hips, knees, ankles = joints[:, [1, 2]], joints[:, [4, 5]], joints[:, [7, 8]]
     return float((knees - hips).norm(dim=-1).mean() + (ankles - knees).norm(dim=-1).mean())
 
@@ -360,13 +361,13 @@ def leg_length(joints: Float[Tensor, "time 22 3"]) -> float:
 def at_frames(
     joints: Float[Tensor, "time 22 3"], fps: float, started: float, frames: int, late: float
 ) -> tuple[Float[Tensor, "kept 22 3"], Tensor]:
-    """Joints at the reference's frames, between two by a straight line, and frames that have them.
+    """Interpolate joints linearly at the reference's frames; also return a mask of these.
 
     Args:
-        joints: at their own frames.
-        fps: their rate, Hz.
-        started: frame of the reference's clock at which they begin.
-        frames: of the reference.
+        joints: joints of a fit at its own frames.
+        fps: frame rate of the fit, Hz.
+        started: frame of the reference's clock at which the fit begins.
+        frames: number of frames of the reference.
         late: frames by which the film's clock is ahead of the reference's.
     """
     x = (torch.arange(frames, dtype=torch.float64) + late - started) * (fps / FPS)

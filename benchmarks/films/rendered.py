@@ -1,9 +1,9 @@
-"""Rendered films: people of drawn shapes in listed motions, filmed by still and moving cameras.
+"""Measures fits of rendered films of people, from still and moving cameras.
 
-Each person (`recon.body.identities`, of drawn height and weight) makes the motion of a listed
-window of 100 frames at 30 Hz, in drawn clothes and a drawn room (`benchmarks.films.rendering`),
+Each person (`recon.body.identities`, of random height and weight) makes the motion of a listed
+window of 100 frames at 30 Hz, in random clothes and a random room (`benchmarks.films.rendering`),
 before a camera that stands still, pans, walks alongside, or is held in the hand, of a focal length
-within 15 % of a phone's. `recon.fit` gets the film alone. Errors in the world are those of
+within 15 % of a phone's. `recon.fit` gets only the film. Errors in the world are those of
 `recon.metrics.world`; those about the pelvis are in the camera's frame of every moment.
 """
 
@@ -49,21 +49,21 @@ COLUMNS: Metrics = {
 
 @dataclass(frozen=True)
 class Shot:
-    """A film's truth."""
+    """People, motions, camera and room of a film, as its truth."""
 
     name: str
     subject: str
     actor: Actor
     truth: Motion
     camera: Camera
-    """A pose for every frame."""
+    """Camera with a pose for every frame."""
     scene: Set
     others: tuple[tuple[Actor, Motion], ...] = ()
-    """Further people in the film."""
+    """Further people in the film, with their motions."""
     size: tuple[int, int] = SIZE
 
     def film(self, folder: Path, seed: int = SEED) -> Path:
-        """The film, rendered where it is not in the folder yet."""
+        """Return the path of the film, and render it if it is not in the folder yet."""
         path = folder / f"{self.name}.mp4"
         if path.is_file():
             return path
@@ -86,12 +86,12 @@ class Shot:
 
 Path3 = Float[Tensor, "time 3"]
 Carrying = Callable[[Path3, Tensor, np.random.Generator], tuple[Path3, Path3, Path3]]
-"""The pelvis' path and the way from the person's middle to the camera: places and aims of a
-camera, and rotation vectors in its own frame."""
+"""Function that moves a camera: from the pelvis' path and the offset of the camera from the
+person's middle it makes places and aims of the camera, and rotation vectors in its own frame."""
 
 
 def wobble(rng: np.random.Generator, frames: int, size: float, seconds: float = 0.25) -> Path3:
-    """Smooth noise of a standard deviation, in three axes."""
+    """Return smooth noise with a given standard deviation, in three axes."""
     white = gaussian_filter1d(rng.standard_normal((frames, 3)), seconds * FPS, axis=0)
     return torch.from_numpy(size * white / white.std()).float()
 
@@ -122,7 +122,7 @@ def _alongside(
 
 
 def _followed(pelvis: Path3) -> Path3:
-    """A path as somebody who films it follows it: level, late and smooth."""
+    """Return the pelvis' path as a camera that follows it: level, late and smooth."""
     smooth = gaussian_filter1d(pelvis.double().numpy(), 0.4 * FPS, axis=0, mode="nearest")
     level = torch.from_numpy(smooth).float()
     return torch.cat((level[:, :2], level[:, 2:].mean(0, keepdim=True).expand(len(level), 1)), -1)
@@ -134,7 +134,7 @@ CAMERAS: dict[str, Carrying] = {
 
 
 def add_arguments(arguments: argparse.ArgumentParser) -> None:
-    """What `rendered` takes beside the corpus."""
+    """Add the options of `rendered` to its command line."""
     arguments.add_argument("--part", choices=("test", "validation"), default="test")
     arguments.add_argument("--people", type=int, default=20)
     arguments.add_argument("--kinds", nargs="+", choices=CAMERAS, default=list(CAMERAS))
@@ -143,7 +143,7 @@ def add_arguments(arguments: argparse.ArgumentParser) -> None:
 
 
 def measure(given: argparse.Namespace) -> None:
-    """Film, fit, compare, print and write."""
+    """Render, fit, compare, print and write the table."""
     body, rows = BodyModel.load(), list[list[object]]()
     windows = load_windows(given.corpus, Splits.load(), given.part, body, SEED, FRAMES)
     for kind in given.kinds:
@@ -166,12 +166,12 @@ def measure(given: argparse.Namespace) -> None:
 
 
 def source(shot: Shot, films: Path, detections: Path | None) -> Path:
-    """The film, or the file of detections that stands for it."""
+    """Return the film, or the file of detections that is used instead."""
     return shot.film(films) if detections is None else detections / f"{shot.name}.npz"
 
 
 def shots(windows: TrueWindows, kind: str, people: int, body: BodyModel) -> Iterator[Shot]:
-    """So many people, each with a motion of the listed windows, before one kind of camera."""
+    """Yield films of people in motions of the listed windows, with one kind of camera."""
     order = np.random.default_rng(SEED).permutation(len(windows.names))
     for number in range(people):
         row = int(order[number % len(order)])
@@ -190,7 +190,7 @@ def shots(windows: TrueWindows, kind: str, people: int, body: BodyModel) -> Iter
 
 
 def drawn_person(motion: Motion, number: int, body: BodyModel) -> Motion:
-    """A motion of a person of drawn height and weight."""
+    """Return a motion performed by a person of random height and weight."""
     rng = np.random.default_rng([SEED, number])
     sex, tall = ("man", "woman")[number % 2], rng.uniform(1.52, 1.80) + 0.12 * (number % 2 < 1)
     weight = rng.uniform(19.5, 29.0) * tall**2
@@ -199,7 +199,7 @@ def drawn_person(motion: Motion, number: int, body: BodyModel) -> Motion:
 
 
 def carried(kind: str, actor: Actor, motion: Motion, rng: np.random.Generator) -> Camera:
-    """A camera of a drawn direction and height, as near as shows the person in every frame."""
+    """Return a camera of random direction and height, near but showing all of the person."""
     skin, pelvis = actor.body.pose(motion).vertices[:, ::50], actor.body.pose(motion).joints[:, 0]
     matrix = torch.from_numpy(guessed_camera(SIZE).camera_matrix).float()
     matrix[[0, 1], [0, 1]] *= rng.uniform(0.85, 1.15)
@@ -219,7 +219,7 @@ def carried(kind: str, actor: Actor, motion: Motion, rng: np.random.Generator) -
 
 
 def judged(shot: Shot, path: Path, body: BodyModel) -> dict[str, float | None]:
-    """Errors of the motion that a film gives."""
+    """Fit a film and return the errors of the motion."""
     told = {} if path.suffix == ".mp4" else {"frame_rate": FPS, "image_size": SIZE}
     began = time.process_time()
     result = recon.fit(path, body=body, **told)

@@ -1,4 +1,4 @@
-"""Films of known truth: our body in drawn clothes, in a drawn room, before a camera.
+"""Renders films of known truth: our body in random clothes and a random room.
 
 Colours are functions of the unposed body's surface: a face with eyes, brows and mouth, hair, a
 shirt, trousers and shoes, each of drawn colours with patterns and folds. The room is a box whose
@@ -18,16 +18,16 @@ from recon.core.raster import rasterise, vertex_normals
 from recon.simulation.scenery import clothed
 
 PIXELS_M = 80
-"""Pixels of a metre of the room's pictures."""
+"""Resolution of the room's pictures (pixels per metre)."""
 LIGHT = (1.0, 0.86, 0.93, 0.8, 0.9, 1.0)
-"""How much light the sides of the room have."""
+"""Brightness of the six sides of the room, relative to the brightest."""
 Picture = UInt8[np.ndarray, "height width 3"]
 
 
 def noise(
     rng: np.random.Generator, size: tuple[int, int], roughness: float = 0.6
 ) -> Float[np.ndarray, "height width"]:
-    """Clouds of several sizes, of mean 0 and standard deviation 1."""
+    """Return random clouds of several sizes, of mean 0 and standard deviation 1."""
     width, height = size
     total, share, cells = np.zeros((height, width), np.float32), 1.0, 3
     while cells < max(size) / 2:
@@ -38,7 +38,7 @@ def noise(
 
 
 def colour(rng: np.random.Generator, dull: float, light: tuple[float, float]) -> np.ndarray:
-    """A drawn colour, RGB from 0 to 255: how dull, and how light from and to."""
+    """Draw a random colour (RGB, 0 to 255) of a given dullness and range of lightness."""
     hue = rng.uniform(0, 255, 3)
     grey = rng.uniform(*light) * 255
     return np.clip(grey + (hue - hue.mean()) * (1 - dull), 5, 250).astype(np.float32)
@@ -50,13 +50,13 @@ class Room:
 
     low: np.ndarray
     high: np.ndarray
-    """Its corners, metres."""
+    """Upper corner (m); `low` is the lower one."""
     pictures: tuple[np.ndarray, ...]
-    """Of the sides x low, x high, y low, y high, floor, ceiling; float32."""
+    """Pictures of the sides x low, x high, y low, y high, floor, ceiling; float32."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, reach: float) -> "Room":
-        """A room whose walls stand at least so far from the middle, metres."""
+        """Draw a random room whose walls are at least `reach` metres from the middle."""
         walls = reach + rng.uniform(0.3, 4.0, 4)
         high = np.array([walls[0], walls[1], rng.uniform(2.6, 4.5)])
         low = np.array([-walls[2], -walls[3], 0.0])
@@ -75,7 +75,7 @@ class Room:
         return cls(low.astype(np.float32), high.astype(np.float32), tuple(pictures))
 
     def seen(self, camera: Camera) -> Float[np.ndarray, "height width 3"]:
-        """What a camera (one pose) inside the room sees of it, half as sharp as its images."""
+        """Render the room from a camera inside (one pose), at half its images' resolution."""
         width, height = (side // 2 for side in camera.image_size)
         T = camera.T_world_camera.numpy()
         inverse = np.linalg.inv(camera.camera_matrix.numpy())
@@ -102,7 +102,7 @@ class Room:
 
 
 def _furnish(wall: np.ndarray, rng: np.random.Generator) -> None:
-    """Windows, doors, boards and cupboards, whose sides are vertical, and a skirting board."""
+    """Draw windows, doors, boards and cupboards with vertical sides, and a skirting board."""
     height, width = wall.shape[:2]
     for _ in range(rng.integers(3, 7)):
         w, h = (rng.uniform(0.5, 1.6) * PIXELS_M, rng.uniform(0.4, 1.1) * PIXELS_M)
@@ -119,7 +119,7 @@ def _furnish(wall: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _lay(floor: np.ndarray, rng: np.random.Generator) -> None:
-    """Boards or tiles."""
+    """Draw boards or tiles on the floor."""
     step, dark = int(rng.uniform(0.15, 0.7) * PIXELS_M), 0.75
     floor[::step] *= dark
     floor[1::step] *= dark
@@ -137,16 +137,16 @@ class Clothes:
     skin: np.ndarray
     hair: np.ndarray
     sleeve: float
-    """Metres from the middle at which sleeves end."""
+    """Distance (m) from the middle at which sleeves end."""
     leg: float
-    """Height at which trousers end."""
+    """Height (m) at which trousers end."""
     stripes: float
-    """Stripes of the shirt for a metre; 0 for none."""
+    """Stripes of the shirt per metre; 0 for none."""
     grain: Float[np.ndarray, "cells cells"]
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Clothes":
-        """Somebody's clothes, skin and hair."""
+        """Draw random clothes, skin and hair."""
         tone = rng.uniform(0.25, 1.0)
         skin = np.array([235, 195, 170], np.float32) * tone + np.array([20, 8, 0], np.float32)
         hair = np.array([150, 110, 70], np.float32) * rng.uniform(0.15, 1.1)
@@ -158,7 +158,7 @@ class Clothes:
         )  # fmt: skip
 
     def at(self, places: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """Colours of points of the surface."""
+        """Return the colours of points of the unposed surface."""
         x, y, z = np.abs(places[:, 0]), places[:, 1], places[:, 2]
         out = np.repeat(self.skin[None], len(places), 0)
         cells = (places[:, :2] * 300 + z[:, None] * 170).astype(int) % 512
@@ -187,28 +187,28 @@ class Clothes:
 
 @dataclass(frozen=True)
 class Actor:
-    """A person who is filmed."""
+    """A person who is filmed: the body with the surface of its clothes, and their colours."""
 
     body: BodyModel
-    """With clothes on its surface."""
+    """Body model with the surface of clothes."""
     clothes: Clothes
 
     @classmethod
     def drawn(cls, body: BodyModel, seed: int) -> "Actor":
-        """Clothes for a body."""
+        """Draw random clothes for a body."""
         return cls(clothed(body, seed), Clothes.drawn(np.random.default_rng([seed, 1])))
 
 
 @dataclass(frozen=True)
 class Set:
-    """A room and the lamp in it."""
+    """A room and the direction of the lamp in it."""
 
     room: Room
     lamp: Float[np.ndarray, "3"]
 
     @classmethod
     def drawn(cls, seed: int, reach: float) -> "Set":
-        """A room with walls at least so far from the middle, metres."""
+        """Draw a random room with walls at least `reach` metres from the middle, and a lamp."""
         rng = np.random.default_rng([seed, 2])
         side = rng.uniform(-0.7, 0.7, 2)
         return cls(Room.drawn(rng, reach), np.array([*side, 1.0]) / np.hypot(1, np.hypot(*side)))
@@ -217,13 +217,13 @@ class Set:
 def render(
     scene: Set, camera: Camera, actors: list[tuple[Actor, np.ndarray]], rng: np.random.Generator
 ) -> Picture:
-    """One frame.
+    """Render one frame of people in a room.
 
     Args:
-        scene: the room.
-        camera: of one pose.
+        scene: room and lamp.
+        camera: camera with one pose.
         actors: people with the vertices of their skin in the world.
-        rng: of the noise of the image.
+        rng: random generator of the image noise.
     """
     image = scene.room.seen(camera)
     width, height = camera.image_size

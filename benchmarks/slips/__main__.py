@@ -1,4 +1,4 @@
-"""Are slips repaired or warned of, is their cause named, and are good recordings left in peace?
+"""Measures whether mistakes in data are repaired or reported, and good data left in peace.
 
     python -m benchmarks.slips CORPUS OBSERVATIONS --good 300 --out FOLDER
     python -m benchmarks.slips CORPUS OBSERVATIONS --part validation --clips 3 --sensor joints3d
@@ -8,10 +8,10 @@
 windows of two seconds: joints with 2 cm of noise, 43 markers with 1 cm, keypoints with 3 pixels. A
 slip is caught when a warning is given or the fit is as good as the clean clip's: within 1.2 times
 its error, over the joints that the slip spoils, or over the others where the fit declares those to
-be inferred rather than seen. It is named when one of the codes that were reported is right; clips
-that a slip does no harm to, and about which nothing is said, do not count. `--good` fits
-recordings without a slip (`benchmarks.slips.good`); what is said about them and is not so is a
-false alarm. The whole table is a matter of hours.
+be inferred rather than seen. It is named when one of the reported codes is right; clips that a
+slip does not harm, and about which nothing is reported, do not count. `--good` fits recordings
+without a slip (`benchmarks.slips.good`); a wrong finding about them is a false alarm. The whole
+table takes hours.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ from recon.benchmark.windows import load_windows
 
 
 def main() -> None:
-    """Spoil, fit, judge, print and write."""
+    """Spoil, fit, judge, print and write the tables."""
     arguments = parser(__doc__, "corpus", "observations")
     arguments.add_argument("--part", choices=("test", "validation"), default="test")
     arguments.add_argument("--clips", type=int, default=20, help="windows of each slip")
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def of_slips(found: Mapping[Slip, Sequence[Verdict]]) -> Table:
-    """Every slip: what became of it."""
+    """Build a table of slips: errors, and how many clips were as good, caught and named."""
     every = [clip for clips in found.values() for clip in clips]
     rows: list[list[Cell]] = [_row(slip, clips) for slip, clips in found.items()]
     rows.append(["all", None, None, None, *_counts(every)])
@@ -81,7 +81,7 @@ def of_slips(found: Mapping[Slip, Sequence[Verdict]]) -> Table:
 
 
 def _row(slip: Slip, clips: Sequence[Verdict]) -> list[Cell]:
-    """Mean errors of the clean and of the slipped clips, centimetres or factors, and counts."""
+    """Return mean errors of the clean and of the spoiled clips (cm, or factors), and counts."""
     factor = 1 if slip.measure == "speed" else 100
     means = [sum(own) / len(clips) for own in
              ([c.clean for c in clips], [c.error for c in clips])]  # fmt: skip
@@ -99,14 +99,14 @@ def _counts(clips: Sequence[Verdict]) -> list[Cell]:
 
 
 def _share(flags: Sequence[bool], clips: Sequence[Verdict]) -> str:
-    """A share in percent with its 95 % interval over clips."""
+    """Return a share in percent with its 95 % interval over clips."""
     names = [clip.clip for clip in clips]
     found = mean_with_interval([float(flag) for flag in flags], names, ["all"] * len(names))
     return f"{100 * found.mean:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 
 def of_good(said: Mapping[GoodWindow, set[str]]) -> Table:
-    """What was said about good windows and is not so, by sensor or collection."""
+    """Build a table of wrong findings about good windows, by sensor or collection."""
     by_kind: dict[str, list[set[str]]] = {}
     for window, codes in said.items():
         by_kind.setdefault(_kind(window), []).append(codes)
@@ -122,7 +122,7 @@ def of_good(said: Mapping[GoodWindow, set[str]]) -> Table:
 
 
 def _kind(window: GoodWindow) -> str:
-    """Simulated windows by sensor, real ones by their collection."""
+    """Return the row of a window: simulated ones by sensor, real ones by collection."""
     if window.variant:
         return f"simulated {window.variant.split(':')[0]}"
     return f"real {window.source.split('/')[0]}"

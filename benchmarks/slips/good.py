@@ -1,16 +1,15 @@
-"""300 good windows: whatever is said about them is a false alarm.
+"""Loads 300 good windows, about which every finding that is not true is a false alarm.
 
-`good_windows.json` lists them. Half are test windows as sensors see them in ordinary use: other
-noise than the slips', points hidden by a table, points missing, frames missing. Half are real
-recordings whose markers are landmarks of the body, as anybody who maps marker names would give
-them: ballroom dance (choreonet), runs on a treadmill and over ground
-(hamner, sprinter), walks, squats and stands. Markers whose place is only roughly known (clusters
-on thigh and shank) are left out, as are windows of which a quarter or more was not seen. For
-thresholds there are windows of validation people in the same manner, and real recordings of
-people who are in no part.
+`good_windows.json` lists them. Half are test windows as sensors see them in ordinary use: with
+other noise than that of the slips, points hidden by a table, points or frames missing. Half are
+real recordings whose markers are landmarks of the body, as users who map marker names give them:
+ballroom dance (choreonet), runs on a treadmill and over ground (hamner, sprinter), walks, squats
+and stands. Markers whose place is only roughly known (clusters on thigh and shank) are left out,
+as are windows of which a quarter or more was not seen. For the choice of thresholds there are
+windows of validation people of the same kind, and real recordings of people who are in no part.
 
-What is so may be said: that what was hidden is inferred, that a treadmill is a treadmill, that
-somebody sits, or stands on a box or a beam (drop jumps begin on one of 30 cm), and that two
+True findings are allowed: that hidden parts are inferred, that a treadmill is a treadmill, that a
+person sits, or stands on a box or a beam (drop jumps begin on one of 30 cm), and that two
 recordings have their ground several centimetres above or below z = 0, as their lowest markers show
 (-3 cm and 8 cm; 2 to 6 elsewhere).
 """
@@ -38,7 +37,7 @@ from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")
 VIEWS = ".zip"
-"""Detections of several cameras are packed in these."""
+"""Suffix of files that contain the detections of several cameras."""
 _DETECTIONS, _CALIBRATION, _RATE = "pose-associated", "Calib_qualisys.toml", 60.0
 _HIDDEN = {"hide_below": 0.9, "during": (0.67, 1.33)}
 
@@ -62,25 +61,25 @@ VARIANTS: tuple[tuple[str, Sensor, Corruption], ...] = (
     ("3 px, a tenth missing", "cameras", Corruption(noise=3.0, missing_points=0.1)),
 )  # fmt: skip
 
-_SO: dict[str, tuple[Code, ...]] = {
+_TRUE_FINDINGS: dict[str, tuple[Code, ...]] = {
     "hamner_subject02_running": ("treadmill",), "hamner04_run": ("treadmill",),
     "gait2354_subject01_walk": ("treadmill",),
     "_STS": ("uneven ground",), "_DJ": ("uneven ground", "floor"),
     "nick_freeform": ("floor",), "sehoon_squat": ("floor",), "balancing": ("uneven ground",),
 }  # fmt: skip
-"""What is true of recordings whose path contains this."""
+"""Codes of findings that are true of recordings, by a part of their path."""
 
 
 @dataclass(frozen=True)
 class GoodWindow:
-    """One window of the list."""
+    """One listed window without a mistake."""
 
     source: str
     """Name of a listed window, or path of a real recording."""
     variant: str = ""
     """The variant of a listed window: its sensor and its name in `VARIANTS`, `sensor: name`."""
     start: float = 0.0
-    """Beginning in a real recording, seconds from its first frame."""
+    """Start of the window in a real recording (s)."""
 
     @property
     def name(self) -> str:
@@ -89,36 +88,36 @@ class GoodWindow:
 
     @property
     def allowed(self) -> tuple[Code, ...]:
-        """What may be said about it because it is so."""
+        """Codes of the findings that are true of the window."""
         so: Iterator[Code] = (
-            code for part, codes in _SO.items() if part in self.source for code in codes
+            code for part, codes in _TRUE_FINDINGS.items() if part in self.source for code in codes
         )
         return ("unseen", "gap", *so)
 
 
 def listed(part: Part) -> tuple[GoodWindow, ...]:
-    """The committed windows of a part."""
+    """Return the committed windows of a part."""
     rows = json.loads(LIST.read_text())[part]
     return tuple(GoodWindow(**row) for row in rows)
 
 
 def alarms(window: GoodWindow, findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Findings that are not so."""
+    """Return the findings that are not true of the window."""
     return tuple(finding for finding in findings if finding.code not in window.allowed)
 
 
 @dataclass(frozen=True)
 class GoodWindows:
-    """The folders that windows are loaded from."""
+    """Loads windows from the folders of their data."""
 
     windows: TrueWindows
-    """All that are listed of a part."""
+    """All listed windows of a part."""
     observations: Path
     """Folder of real recordings."""
     body: BodyModel
 
     def load(self, window: GoodWindow) -> Sequence[Seen]:
-        """What was seen.
+        """Return the observations of a window.
 
         Raises:
             ValueError: when the listed windows are not those that the list was made of.
@@ -142,13 +141,13 @@ def _variant(name: str) -> tuple[Corruption, Sensor]:
 
 
 def some_of(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
-    """Some windows of a list, so many, evenly spread."""
+    """Choose `count` windows, evenly spread over a list."""
     step = max(len(windows) / count, 1.0)
     return [windows[int(k * step)] for k in range(min(count, len(windows)))]
 
 
 def cut(path: Path, start: float, body: BodyModel) -> Markers3D:
-    """Two seconds of a recording's precisely placed markers, thinned to about 30 Hz."""
+    """Read two seconds of a recording's precisely placed markers, thinned to about 30 Hz."""
     recording = read_recording(path)
     if not isinstance(recording, MarkerRecording):
         raise ValueError(f"{path}: expected a recording of markers, got a skeleton")
@@ -168,7 +167,7 @@ def cut(path: Path, start: float, body: BodyModel) -> Markers3D:
 
 
 def views(path: Path) -> list[Seen]:
-    """All detections of a Pose2Sim recording with their calibration."""
+    """Read all detections of a Pose2Sim recording with their calibration."""
     with tempfile.TemporaryDirectory() as scratch:
         with zipfile.ZipFile(path) as archive:
             archive.extractall(scratch)

@@ -1,4 +1,4 @@
-"""What became of slipped recordings: errors of what a slip spoils, and what was said of it."""
+"""Judges fits of clips with slips: errors of the joints concerned, and reported findings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ from recon.diagnosis.findings import Finding
 from recon.metrics import errors as metrics
 
 AS_GOOD = 1.2
-"""A fit is repaired when its error is at most so many times that of the clean clip."""
+"""Ratio to the error of the clean clip's fit, up to which a fit is repaired."""
 CONSEQUENCES = frozenset({"unseen", "gap"})
-"""Codes that say where data is missing: they follow from repairs and name no cause."""
-_MOST = 0.5
+"""Codes of missing data, which follow from repairs and name no cause."""
+_MIN_SEEN_SHARE = 0.5
 
 Joints = Float[Tensor, "time 22 3"]
 Counted = Bool[Tensor, "time 22"]
-"""Joints and frames whose errors count."""
+"""Mask of the joints and frames whose errors count."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one slipped clip."""
+    """The outcome for one clip with a slip: errors, and whether findings were given and right."""
 
     clip: str
     clean: float
-    """Error of the clip without the slip, in the slip's measure."""
+    """Error of the fit without the slip, in the slip's measure."""
     error: float
-    """Error of the fit, where it does not declare joints to be inferred."""
+    """Error of the fit with it, over joints that the fit does not declare to be inferred."""
     warned: bool
     silent: bool
-    """Whether nothing was said, neither repairs nor warnings."""
+    """Whether there was no finding, neither repair nor warning."""
     named: bool
-    """Whether one of the codes is a right name of the cause."""
+    """Whether one of the codes names the cause correctly."""
 
     @property
     def as_good(self) -> bool:
@@ -61,7 +61,7 @@ class Verdict:
 
 
 def slipped(slip: Slip, recording: Recording, clean: recon.Result, prior: str) -> Verdict:
-    """One slip on one clip, beside the fit of the clean clip."""
+    """Fit one clip with a slip, and compare it with the fit of the clean clip."""
     found = recon.fit(slip.spoil(recording, slip.size), prior, body=recording.body)
     claimed = claimed_samples(slip, found.observed.numpy(), recording.truth.frames)
     before, after = (
@@ -75,14 +75,14 @@ def verdict_of(
     slip: Slip, clip: str, clean: float, error: float,
     repairs: Sequence[Finding], warnings: Sequence[Finding],
 ) -> Verdict:  # fmt: skip
-    """Judge the findings of one clip by the slip's right names."""
+    """Judge the findings of one clip by the slip's right codes."""
     causes = [f.code for f in (*repairs, *warnings) if f.code not in CONSEQUENCES]
     named = any(code in slip.codes for code in causes)
     return Verdict(clip, clean, error, len(warnings) > 0, len(repairs) + len(warnings) == 0, named)
 
 
 def truly_placed(result: recon.Result, recording: Recording) -> Motion:
-    """The motion in the true world: that of the recording, or by way of a camera without pose."""
+    """Return the motion in the true world, by way of the true camera if its pose was found."""
     if len(recording.cameras) == 0:
         return result.motion
     return in_true_world(result, recording.cameras[0].T_world_camera, recording.body)[0]
@@ -91,7 +91,7 @@ def truly_placed(result: recon.Result, recording: Recording) -> Motion:
 def motion_error(
     motion: Motion, recording: Recording, measure: Measure, counted: Counted
 ) -> float:
-    """Error of a motion in the true world: metres, or for speeds the factor by which it errs."""
+    """Return the error of a motion in the true world (m), or the factor of wrong speed."""
     own, true = (recording.body.pose(m).joints for m in (motion, recording.truth))
     if measure == "speed":
         ratio = _speed(own, motion.fps) / _speed(true, recording.truth.fps)
@@ -113,40 +113,40 @@ def motion_error(
 
 
 def spoiled_samples(slip: Slip, frames: int) -> Counted:
-    """The joints that a slip spoils, in all frames."""
+    """Return a mask of the joints that a slip spoils, in all frames."""
     chosen = torch.zeros(frames, len(JOINTS), dtype=torch.bool)
     chosen[:, [joint_index(name) for name in slip.joints or JOINTS]] = True
     return chosen
 
 
 def claimed_samples(slip: Slip, observed: Bool[np.ndarray, "time 22"], frames: int) -> Counted:
-    """Samples that the fit does not declare to be inferred.
+    """Return a mask of the samples that the fit does not declare to be inferred.
 
-    Where it declares most of what the slip spoils to be inferred, the rest of the body is judged,
-    and the whole body where it declares most of that.
+    These are samples that the slip spoils; if most of them are declared to be inferred, those of
+    the whole body; and if most of these are, too, all samples.
     """
     spoiled = spoiled_samples(slip, frames)
     if observed.shape != spoiled.shape:
         return spoiled
     seen = torch.from_numpy(observed)
     for chosen in (spoiled, torch.ones_like(spoiled)):
-        if (chosen & seen).sum() >= _MOST * chosen.sum():
+        if (chosen & seen).sum() >= _MIN_SEEN_SHARE * chosen.sum():
             return chosen & seen
     return torch.ones_like(spoiled)
 
 
 def mirror_image(joints: Joints) -> Joints:
-    """The joints of a person who does the same on the other side."""
+    """Return the joints of a person who moves likewise on the other side."""
     return joints[:, list(MIRROR)] * joints.new_tensor([-1.0, 1.0, 1.0])
 
 
 def rigidly_aligned(points: Joints, target: Joints) -> Joints:
-    """Every frame's points after the rotation and shift that bring them nearest to the target."""
+    """Align every frame's points rigidly with the target."""
     middle, goal = points.mean(-2, keepdim=True), target.mean(-2, keepdim=True)
     turn = so3.nearest((target - goal).mT @ (points - middle))
     return (points - middle) @ turn.mT + goal
 
 
 def _speed(joints: Joints, fps: float) -> float:
-    """Mean speed of all joints, m/s."""
+    """Return the mean speed of all joints (m/s)."""
     return joints.diff(dim=0).norm(dim=-1).mean().item() * fps

@@ -1,14 +1,14 @@
-"""The 45 slips: what goes wrong in practice, by kind of sensor, with their sizes.
+"""The 45 slips, which are mistakes that people make with data, by kind of sensor, with sizes.
 
-The size of a slip is the smallest tried that doubles the error of a fit without repairs, or adds
-5 cm, on validation people (abaa3a0: benchmarks/slips/sizes.py). What was tried begins at the
-smallest size that is a mistake and not an ordinary difference: shoes lift people by up to 4 cm,
-makers of detectors and markers differ by several centimetres about where a point is, grown people
-differ in size by a fifth, and what is exchanged for less than 0.2 s is an outlier.
+The size of a slip is the smallest tried that doubles the error of a fit without repairs, or adds 5
+cm, on validation people (abaa3a0: benchmarks/slips/sizes.py). Tried sizes begin at the smallest
+that is a mistake rather than an ordinary difference: shoes lift people by up to 4 cm, detectors
+and markers differ by several centimetres in where a point is, adults differ in size by a fifth,
+and an exchange of less than 0.2 s is an outlier.
 
-More than one code can be right. Points in space whose sides are exchanged throughout are, up to
-a rigid motion, what a mirrored recording of the mirrored person gives, so that either name is
-right; and a view that contradicts the others may be called by what is wrong with it.
+More than one code can be right. Points in space whose sides are exchanged throughout are, up to a
+rigid motion, the same as a mirrored recording of the mirrored person, so that either name is
+right; and a view that contradicts the others may be named by its own error.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from benchmarks.slips.recordings import Sensor
 from recon.diagnosis.findings import Code
 
 Measure = Literal["world", "pelvis", "path", "posture", "speed"]
-"""What a slip spoils.
+"""The error by which a slip is judged.
 
 * world: mean distance of joints from the truth, metres.
 * pelvis: the same of joints about the pelvis, where the world is scaled or one camera leaves the
@@ -41,14 +41,14 @@ class Slip:
     size: float
     unit: str
     codes: tuple[Code, ...]
-    """Names of the cause that are right, the plainest first."""
+    """Codes of findings that name the cause correctly, the plainest first."""
     measure: Measure = "world"
     joints: tuple[str, ...] = ()
-    """Joints that it spoils, whose error is taken; empty is all."""
+    """Joints that the slip spoils, whose error is measured; empty means all."""
 
     @property
     def key(self) -> str:
-        """Its name in tables."""
+        """Name of the slip in tables."""
         return f"{self.sensor}: {self.name}"
 
 
@@ -135,4 +135,4 @@ CAMERAS: tuple[Slip, ...] = (
 )  # fmt: skip
 
 SLIPS: tuple[Slip, ...] = JOINTS + MARKERS + CAMERA + CAMERAS
-"""All 45."""
+"""All 45 slips."""

@@ -1,6 +1,6 @@
-"""What is done to a clean recording by each mistake, as functions of the recording and a size.
+"""Functions that make each mistake (slip) of a given size in a clean recording.
 
-A mistake changes what it says and nothing else; the truth stays what it was.
+They change the observations only; the true motion stays the same.
 """
 
 import math
@@ -17,26 +17,26 @@ from recon.core.motion import Motion
 from recon.simulation.images import orbiting
 
 Spoil = Callable[[Recording, float], tuple[Seen, ...]]
-"""The observations of a recording after a mistake of a size."""
+"""Function that returns the observations of a recording after a mistake of a given size."""
 
-_FIRST = 0.25
-"""Share of the clip after which a mistake of a stretch begins."""
+_START_SHARE = 0.25
+"""Share of the clip after which a mistake begins that lasts for a stretch."""
 _SPOILED_VIEW = 1
-"""Number of the view that is at odds with the others."""
+"""Index of the view that contradicts the others."""
 
 
 def sides(recording: Recording, _: float) -> tuple[Seen, ...]:
-    """Left and right exchanged in all frames."""
+    """Exchange left and right in all frames."""
     return tuple(_sides(seen, slice(None)) for seen in recording.clean)
 
 
 def sides_for(recording: Recording, seconds: float) -> tuple[Seen, ...]:
-    """Left and right exchanged for some seconds."""
+    """Exchange left and right for some seconds."""
     return tuple(_sides(seen, _stretch(recording, seconds)) for seen in recording.clean)
 
 
 def exchange(first: str, second: str) -> Spoil:
-    """Two points that carry each other's name for some seconds."""
+    """Return a mistake that exchanges the names of two points for some seconds."""
 
     def spoil(recording: Recording, seconds: float) -> tuple[Seen, ...]:
         frames = _stretch(recording, seconds)
@@ -49,7 +49,7 @@ def exchange(first: str, second: str) -> Spoil:
 
 
 def somebody_else(recording: Recording, distance: float) -> tuple[Seen, ...]:
-    """Another person from mid clip on, so many metres beside the first at that moment."""
+    """Switch to another person in mid clip, who is `distance` metres beside the first then."""
     frame = recording.truth.frames // 2
     other = recording.of(beside(recording, distance, frame), recording.seed + 1)
     return tuple(
@@ -59,7 +59,7 @@ def somebody_else(recording: Recording, distance: float) -> tuple[Seen, ...]:
 
 
 def beside(recording: Recording, distance: float, frame: int) -> Motion:
-    """The stranger carried to where their pelvis is beside the person's at one frame."""
+    """Move the stranger's motion so that the pelvis is beside the person's in one frame."""
     angle = math.tau * torch.rand(1, generator=Generator().manual_seed(recording.seed)).item()
     way = torch.tensor([math.cos(angle), math.sin(angle)]) * distance
     own, other = (
@@ -71,7 +71,7 @@ def beside(recording: Recording, distance: float, frame: int) -> Motion:
 
 
 def hold(point: str) -> Spoil:
-    """A point that repeats its last value for some seconds."""
+    """Return a mistake by which a point repeats its last value for some seconds."""
 
     def spoil(recording: Recording, seconds: float) -> tuple[Seen, ...]:
         frames = _stretch(recording, seconds)
@@ -81,14 +81,14 @@ def hold(point: str) -> Spoil:
 
 
 def zeros(recording: Recording, share: float) -> tuple[Seen, ...]:
-    """A share of the points written as zeros that count as seen."""
+    """Write a share of the points as zeros that count as seen."""
     return tuple(
         points.zeroed(seen, share, recording.seed + k) for k, seen in enumerate(recording.clean)
     )
 
 
 def offset(point: str, axis: int) -> Spoil:
-    """A point so many metres away from its place throughout."""
+    """Return a mistake that moves a point away from its place by some metres in all frames."""
 
     def spoil(recording: Recording, metres: float) -> tuple[Seen, ...]:
         way = [0.0, 0.0, 0.0]
@@ -99,46 +99,46 @@ def offset(point: str, axis: int) -> Spoil:
 
 
 def rate(recording: Recording, factor: float) -> tuple[Seen, ...]:
-    """A declared rate that is so many times the true one."""
+    """Declare a frame rate that is `factor` times the true one."""
     return tuple(seen.derived(fps=seen.fps * factor) for seen in recording.clean)
 
 
 def shuffle(recording: Recording, block: float) -> tuple[Seen, ...]:
-    """Frames in random order within blocks of so many."""
+    """Put frames in random order within blocks."""
     order = points.shuffled(recording.truth.frames, round(block), recording.seed)
     return tuple(points.reordered(seen, order) for seen in recording.clean)
 
 
 def repeat(recording: Recording, share: float) -> tuple[Seen, ...]:
-    """A share of the frames lost at random and filled by repeating the last one before."""
+    """Replace a random share of the frames by the last one before that is left."""
     order = points.repeating(recording.truth.frames, share, recording.seed)
     return tuple(points.reordered(seen, order) for seen in recording.clean)
 
 
 def lift(recording: Recording, metres: float) -> tuple[Seen, ...]:
-    """The person stands so many metres above the declared ground; negative: below."""
+    """Let the person stand some metres above the declared ground; negative: below."""
     return tuple(points.moved(seen, (0.0, 0.0, metres)) for seen in recording.clean)
 
 
 def scale(recording: Recording, factor: float) -> tuple[Seen, ...]:
-    """All positions multiplied by a factor."""
+    """Multiply all positions by a factor."""
     return tuple(points.scaled(seen, (factor,) * 3) for seen in recording.clean)
 
 
 def mirror(recording: Recording, _: float) -> tuple[Seen, ...]:
-    """The recording's x axis points the wrong way."""
+    """Reverse the recording's x axis."""
     return tuple(points.scaled(seen, (-1.0, 1.0, 1.0)) for seen in recording.clean)
 
 
 def outliers(recording: Recording, share: float) -> tuple[Seen, ...]:
-    """A share of the points is far away, anew in every frame."""
+    """Move a share of the points far away, independently in every frame."""
     return tuple(
         points.wild(seen, share, recording.seed + k) for k, seen in enumerate(recording.clean)
     )
 
 
 def carried_camera(recording: Recording, degrees: float) -> tuple[Seen, ...]:
-    """A phone that is carried around the person by an angle, declared fixed."""
+    """Carry a phone around the person by an angle, and declare it fixed."""
     middle = recording.body.pose(recording.truth).joints.flatten(0, 1).mean(0)
     radians = math.radians(degrees)
     moving = orbiting(recording.cameras[0], middle, recording.truth.frames, radians)
@@ -147,45 +147,45 @@ def carried_camera(recording: Recording, degrees: float) -> tuple[Seen, ...]:
 
 
 def sagging_view(recording: Recording, degrees: float) -> tuple[Seen, ...]:
-    """One of several cameras turns by an angle during the clip, declared fixed."""
+    """Turn one of several cameras by an angle during the clip, and declare it fixed."""
     camera, frames = recording.cameras[_SPOILED_VIEW], recording.truth.frames
     true = points.drifting(camera, frames, degrees, recording.seed)
     return _declared(recording, true, _SPOILED_VIEW)
 
 
 def misplaced_view(recording: Recording, degrees: float) -> tuple[Seen, ...]:
-    """One camera's calibrated pose is turned by an angle."""
+    """Turn one camera's calibrated pose by an angle."""
     return _one(recording, lambda view: points.misplaced(view, degrees, recording.seed))
 
 
 def other_person_in_view(recording: Recording, distance: float) -> tuple[Seen, ...]:
-    """One view follows another person, at so many metres when the clip begins."""
+    """Let one view follow another person, some metres away when the clip begins."""
     other = recording.of(beside(recording, distance, 0), recording.seed + 1)
     return _one(recording, lambda view: other[_SPOILED_VIEW])
 
 
 def sides_in_view(recording: Recording, seconds: float) -> tuple[Seen, ...]:
-    """One view has left and right exchanged for some seconds."""
+    """Exchange left and right in one view for some seconds."""
     return _one(recording, lambda view: _sides(view, _stretch(recording, seconds)))
 
 
 def mirrored_view(recording: Recording, _: float) -> tuple[Seen, ...]:
-    """One view's images are mirrored."""
+    """Mirror one view's images."""
     return _one(recording, points.mirrored)
 
 
 def delayed_view(recording: Recording, frames: float) -> tuple[Seen, ...]:
-    """One view's clock is late by some frames."""
+    """Delay one view's clock by some frames."""
     return _one(recording, lambda view: points.delayed(view, round(frames)))
 
 
 def mirrored_views(recording: Recording, _: float) -> tuple[Seen, ...]:
-    """All views' images are mirrored."""
+    """Mirror all views' images."""
     return tuple(points.mirrored(view) for view in recording.clean)
 
 
 def large_calibration(recording: Recording, factor: float) -> tuple[Seen, ...]:
-    """All cameras are declared so many times as far from the origin."""
+    """Declare all cameras `factor` times as far from the origin."""
     return tuple(points.spread_out(view, factor) for view in recording.clean)
 
 
@@ -198,9 +198,9 @@ def _point(seen: Seen, name: str) -> int:
 
 
 def _stretch(recording: Recording, seconds: float) -> slice:
-    """Some seconds from a quarter of the clip on; the whole clip when that is as long."""
+    """Return the frames of some seconds from a quarter of the clip on, or the whole clip."""
     frames, count = recording.truth.frames, round(seconds * recording.truth.fps)
-    first = min(round(_FIRST * frames), max(frames - count, 0))
+    first = min(round(_START_SHARE * frames), max(frames - count, 0))
     return slice(first, first + count)
 
 
@@ -213,7 +213,7 @@ def _with(seen: Sequence[Seen], number: int, other: Seen) -> tuple[Seen, ...]:
 
 
 def _declared(recording: Recording, true: Camera, number: int) -> tuple[Seen, ...]:
-    """What a camera sees while it moves, with the pose that it is declared to have."""
+    """Return what a moving camera sees, with the pose that it is declared to have."""
     cameras = tuple(true if k == number else c for k, c in enumerate(recording.cameras))
     seen = observed(
         recording.sensor, recording.truth, recording.body, cameras, recording.corruption,

@@ -1,4 +1,4 @@
-"""Mistakes that concern points in space or in images, and cameras; each makes one of them."""
+"""Makes single mistakes in 3D points, image points or cameras, for `benchmarks.slips.mistakes`."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from recon.core.skeleton import JOINTS
 from recon.method.sensor import Sensor as Seen
 
 Values = Float[Tensor, "clips time points dims"]
-_WILD = 0.5
-"""Metres: an outlier is at most so far off along every axis (as `simulate` makes them)."""
+_MAX_OUTLIER_M = 0.5
+"""Largest distance (m) of an outlier along every axis, as in `recon.simulate`."""
 
 
 def point_names(seen: Seen) -> tuple[str, ...]:
-    """Names of an observation's points, in their order."""
+    """Return the names of an observation's points, in their order."""
     if isinstance(seen, Joints3D):
         return tuple(JOINTS[k] for k in seen.joints)
     if isinstance(seen, Keypoints2D):
@@ -31,7 +31,7 @@ def point_names(seen: Seen) -> tuple[str, ...]:
 
 
 def values_of(seen: Seen) -> Values:
-    """Positions in metres, or pixels."""
+    """Return positions in metres, or pixels."""
     if isinstance(seen, Keypoints2D):
         return seen.pixels
     assert isinstance(seen, Joints3D | Markers3D)
@@ -39,7 +39,7 @@ def values_of(seen: Seen) -> Values:
 
 
 def weights_of(seen: Seen) -> Float[Tensor, "clips time points"]:
-    """Confidences of keypoints; one where a point in space is visible."""
+    """Return confidences of keypoints; one where a point in space is visible."""
     if isinstance(seen, Keypoints2D):
         return seen.confidence
     assert isinstance(seen, Joints3D | Markers3D)
@@ -47,7 +47,7 @@ def weights_of(seen: Seen) -> Float[Tensor, "clips time points"]:
 
 
 def edited(seen: Seen, values: Values, weights: Tensor | None = None) -> Seen:
-    """The observation with other values; weights stay unless given, what is unseen is zero."""
+    """Return the observation with other values, and weights if given; unseen values are zero."""
     weights = weights_of(seen) if weights is None else weights
     values = torch.where(weights[..., None] > 0, values, 0.0)
     if isinstance(seen, Keypoints2D):
@@ -56,7 +56,7 @@ def edited(seen: Seen, values: Values, weights: Tensor | None = None) -> Seen:
 
 
 def pairs_of_sides(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Numbers of every left point and its right one."""
+    """Return indices of every left point and its right counterpart."""
     return [
         (k, names.index("right" + name.removeprefix("left")))
         for k, name in enumerate(names)
@@ -65,7 +65,7 @@ def pairs_of_sides(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def exchanged(seen: Seen, pairs: Sequence[tuple[int, int]], frames: slice) -> Seen:
-    """The two points of every pair carry each other's name in some frames."""
+    """Exchange the names of the two points of every pair in some frames."""
     values, weights = values_of(seen).clone(), weights_of(seen).clone()
     for a, b in pairs:
         values[:, frames, [a, b]] = values[:, frames, [b, a]]
@@ -74,7 +74,7 @@ def exchanged(seen: Seen, pairs: Sequence[tuple[int, int]], frames: slice) -> Se
 
 
 def held(seen: Seen, point: int, frames: slice) -> Seen:
-    """A point repeats its value of the first of some frames."""
+    """Repeat a point's value of the first of some frames in the others."""
     values, weights = values_of(seen).clone(), weights_of(seen).clone()
     values[:, frames, point] = values[:, frames.start, point][:, None]
     weights[:, frames, point] = weights[:, frames.start, point][:, None]
@@ -82,7 +82,7 @@ def held(seen: Seen, point: int, frames: slice) -> Seen:
 
 
 def zeroed(seen: Seen, share: float, seed: int) -> Seen:
-    """A share of the visible points is written as zeros that count as seen."""
+    """Write a share of the visible points as zeros that count as seen."""
     weights = weights_of(seen)
     generator = Generator().manual_seed(seed)
     lost = torch.rand(weights.shape, generator=generator) < share
@@ -90,29 +90,29 @@ def zeroed(seen: Seen, share: float, seed: int) -> Seen:
 
 
 def displaced(seen: Seen, point: int, offset: Sequence[float]) -> Seen:
-    """A point lies away from its place throughout, by metres or pixels along every axis."""
+    """Move a point away from its place in all frames, by metres or pixels along every axis."""
     values = values_of(seen).clone()
     values[:, :, point] += values.new_tensor(offset)
     return edited(seen, values)
 
 
 def moved(seen: Seen, offset: Sequence[float]) -> Seen:
-    """All points in space lie away from where they are, metres."""
+    """Move all points in space by an offset (m)."""
     return edited(seen, values_of(seen) + values_of(seen).new_tensor(offset))
 
 
 def scaled(seen: Seen, factors: Sequence[float]) -> Seen:
-    """All points in space are multiplied, axis by axis."""
+    """Multiply all points in space by a factor per axis."""
     return edited(seen, values_of(seen) * values_of(seen).new_tensor(factors))
 
 
 def reordered(seen: Seen, order: Int[Tensor, " time"]) -> Seen:
-    """Frame k shows what frame order[k] showed."""
+    """Reorder frames: frame k gets the data of frame order[k]."""
     return edited(seen, values_of(seen)[:, order], weights_of(seen)[:, order])
 
 
 def shuffled(frames: int, block: int, seed: int) -> Int[Tensor, " time"]:
-    """An order of frames that is random within blocks of so many."""
+    """Return an order of frames that is random within blocks."""
     generator = Generator().manual_seed(seed)
     starts = range(0, frames, block)
     sizes = [min(block, frames - start) for start in starts]
@@ -124,7 +124,7 @@ def shuffled(frames: int, block: int, seed: int) -> Int[Tensor, " time"]:
 
 
 def repeating(frames: int, share: float, seed: int) -> Int[Tensor, " time"]:
-    """An order in which a share of the frames is lost and filled by the last one before it."""
+    """Return an order in which a share of the frames is replaced by the last one before."""
     generator = Generator().manual_seed(seed)
     kept = torch.rand(frames, generator=generator) >= share
     kept[0] = True
@@ -132,26 +132,26 @@ def repeating(frames: int, share: float, seed: int) -> Int[Tensor, " time"]:
 
 
 def wild(seen: Seen, share: float, seed: int) -> Seen:
-    """A share of the points is somewhere else: half a metre around, or anywhere in the image."""
+    """Move a share of the points: up to half a metre per axis, or anywhere in the image."""
     values, generator = values_of(seen), Generator().manual_seed(seed)
     hit = torch.rand(values.shape[:-1], generator=generator) < share
     anywhere = torch.rand(values.shape, generator=generator)
     if isinstance(seen, Keypoints2D):
         elsewhere = anywhere * values.new_tensor(seen.camera.image_size)
     else:
-        elsewhere = values + 2 * _WILD * (anywhere - 0.5)
+        elsewhere = values + 2 * _MAX_OUTLIER_M * (anywhere - 0.5)
     return edited(seen, torch.where(hit[..., None], elsewhere, values))
 
 
 def joined(before: Seen, after: Seen, frame: int) -> Seen:
-    """One observation until a frame, another from that frame on."""
+    """Join one observation up to a frame with another from that frame on."""
     values = torch.cat((values_of(before)[:, :frame], values_of(after)[:, frame:]), 1)
     weights = torch.cat((weights_of(before)[:, :frame], weights_of(after)[:, frame:]), 1)
     return edited(before, values, weights)
 
 
 def mirrored(view: Seen) -> Seen:
-    """Left and right of the image are exchanged, as front cameras of phones write it."""
+    """Mirror the image, left to right, as front cameras of phones write it."""
     assert isinstance(view, Keypoints2D)
     pixels = view.pixels * view.pixels.new_tensor([-1.0, 1.0])
     width = float(view.camera.image_size[0])
@@ -159,26 +159,26 @@ def mirrored(view: Seen) -> Seen:
 
 
 def delayed(view: Seen, frames: int) -> Seen:
-    """Every moment shows what happened some frames before; the first moments show nothing."""
+    """Delay the data by some frames; the first frames are empty."""
     values, weights = values_of(view).roll(frames, 1), weights_of(view).roll(frames, 1)
     weights[:, :frames] = 0
     return edited(view, values, weights)
 
 
 def misplaced(view: Seen, degrees: float, seed: int) -> Seen:
-    """The calibration has the camera turned about itself by an angle, about a random axis."""
+    """Turn the calibrated camera about its centre by an angle, about a random axis."""
     assert isinstance(view, Keypoints2D)
     turn = turned(torch.tensor([degrees]), seed).to(view.pixels)
     return view.replace(camera=_after(view.camera, turn))
 
 
 def drifting(camera: Camera, frames: int, degrees: float, seed: int) -> Camera:
-    """A fixed camera whose tripod gives way: it turns evenly by an angle in so many frames."""
+    """Turn a fixed camera evenly by an angle over some frames, as when its tripod gives way."""
     return _after(camera, turned(torch.linspace(0, degrees, frames), seed))
 
 
 def turned(degrees: Float[Tensor, " poses"], seed: int) -> Float[Tensor, "poses 4 4"]:
-    """Rotations by angles about one random axis."""
+    """Return rotations (4 x 4) by angles about one random axis."""
     axis = torch.randn(3, generator=Generator().manual_seed(seed))
     axis = axis / axis.norm()
     turns = torch.eye(4).repeat(len(degrees), 1, 1)
@@ -187,7 +187,7 @@ def turned(degrees: Float[Tensor, " poses"], seed: int) -> Float[Tensor, "poses 
 
 
 def spread_out(view: Seen, factor: float) -> Seen:
-    """The calibration has the camera so many times as far from the origin."""
+    """Declare the camera `factor` times as far from the origin."""
     assert isinstance(view, Keypoints2D)
     pose = view.camera.T_camera_world.clone()
     pose[..., :3, 3] *= factor

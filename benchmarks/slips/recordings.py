@@ -1,4 +1,4 @@
-"""Clean recordings of true motions: what each kind of sensor sees while nobody makes a mistake."""
+"""Simulates clean recordings of true motions by each kind of sensor."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +14,8 @@ from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d, markers3d
 
 Sensor = Literal["joints3d", "markers3d", "camera", "cameras"]
-"""22 joints; 43 points of the skin; one camera of unknown pose; three calibrated cameras."""
+"""Kinds of sensors: 22 joints; 43 points of the skin; one camera of unknown pose; three calibrated
+cameras."""
 SENSORS: tuple[Sensor, ...] = ("joints3d", "markers3d", "camera", "cameras")
 CLEAN: dict[Sensor, Corruption] = {
     "joints3d": Corruption(noise=0.02),
@@ -28,24 +29,24 @@ _CAMERAS: dict[Sensor, int] = {"joints3d": 0, "markers3d": 0, "camera": 1, "came
 
 @dataclass(frozen=True)
 class Recording:
-    """One clip as its sensors see it, and what a mistake may be made of."""
+    """One clip with its clean observations, and the data from which mistakes are made."""
 
     name: str
     sensor: Sensor
     truth: Motion
-    """World, one clip without batch axis."""
+    """True motion in the world, without a batch axis."""
     stranger: Motion
-    """Somebody else's clip of the same length, wherever it was recorded."""
+    """Motion of another person, of the same length, wherever it was recorded."""
     body: BodyModel
     cameras: tuple[Camera, ...]
-    """Cameras as they truly stand; none for points in space."""
+    """Cameras at their true poses; none for points in space."""
     corruption: Corruption
     seed: int
     clean: tuple[Seen, ...]
-    """What was seen without the mistake, with a leading axis of one clip."""
+    """Observations without the mistake, with a batch axis of length one."""
 
     def of(self, motion: Motion, seed: int) -> tuple[Seen, ...]:
-        """What the sensors see of another motion."""
+        """Simulate the sensors' observations of another motion."""
         return observed(self.sensor, motion, self.body, self.cameras, self.corruption, seed)
 
 
@@ -57,7 +58,7 @@ def observed(
     corruption: Corruption,
     seed: int,
 ) -> tuple[Seen, ...]:
-    """What a kind of sensor sees of one clip, with a leading axis of clips."""
+    """Simulate the observations of one clip by a kind of sensor, with a batch axis."""
     if sensor == "joints3d":
         return (stack([joints3d(motion, body, corruption, seed)]),)
     if sensor == "markers3d":
@@ -67,7 +68,7 @@ def observed(
 
 
 def cameras_of(sensor: Sensor, truth: Motion, body: BodyModel, seed: int) -> tuple[Camera, ...]:
-    """One or three cameras around a clip, the first in a direction of the clip's own."""
+    """Return one or three cameras around a clip, from a direction that depends on the seed."""
     count = _CAMERAS[sensor]
     return dome(truth, body, full_hd_camera(), count, first=2.4 * seed) if count else ()
 
@@ -79,7 +80,7 @@ def recording_of(
     body: BodyModel,
     corruption: Corruption | None = None,
 ) -> Recording:
-    """One window before a kind of sensor; noise as in `CLEAN` unless said."""
+    """Simulate one window's recording by a kind of sensor; default noise is that of `CLEAN`."""
     truth, corruption = windows.truth[number], corruption or CLEAN[sensor]
     cameras = cameras_of(sensor, truth, body, number)
     return Recording(
@@ -96,7 +97,7 @@ def recording_of(
 
 
 def _somebody_else(windows: TrueWindows, number: int) -> int:
-    """The next window of another person."""
+    """Return the index of the next window of another person."""
     count = len(windows.names)
     others = [(number + k) % count for k in range(1, count)]
     return next(o for o in others if windows.subjects[o] != windows.subjects[number])

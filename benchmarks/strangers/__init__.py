@@ -1,1 +1,1 @@
-"""Leave-one-person-out: what the priors are worth to people whom they never saw."""
+"""Leave-one-person-out tests: what the priors are worth for people whom they never saw."""

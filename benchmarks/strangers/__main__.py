@@ -1,17 +1,18 @@
-"""The number to choose by: priors on people whom neither they nor their pose density ever saw.
+"""Measures priors on people whom neither they nor their pose density ever saw.
 
     python -m benchmarks.strangers CORPUS FOLDS --out FOLDER
     python -m benchmarks.strangers CORPUS FOLDS --only 35 60 --steps 1500
 
-Leave-one-person-out over all people outside test. In every fold HuMoR and the pose density learn
-from everybody else, by a short schedule and from scratch; then at least eight windows of the
-person are fitted by collocation and under the pose prior alone, both with the fold's weights.
-Test people are in no fold and in no training. Clips of unknown people are held out in no fold; the
-ones that move like a fold's people (`benchmarks.strangers.folds`) are not learned from either.
+This is the number to choose by: leave-one-person-out over all people outside test. In every fold
+HuMoR and the pose density learn from everybody else, by a short schedule and from scratch; then at
+least eight windows of the person are fitted by collocation and under the pose prior alone, both
+with the fold's weights. Test people are in no fold and in no training. Clips of unknown people are
+held out in no fold; those that move like a fold's people (`benchmarks.strangers.folds`) are not
+learned from either.
 
-FOLDS is a folder where weights, checkpoints and fits are kept. A fold that is trained is not
-trained again, a training that was interrupted goes on, and a fold that this commit has fitted is
-not fitted again.
+FOLDS is a folder where weights, checkpoints and fits are kept. A trained fold is not trained
+again, an interrupted training continues, and a fold that this commit has fitted is not fitted
+again.
 """
 
 import json
@@ -33,7 +34,7 @@ from recon.formats.replacing import write_text
 
 
 def main() -> None:
-    """Train, fit, print and write, fold by fold."""
+    """Train, fit, print and write the table, fold by fold."""
     arguments = parser(__doc__, "corpus", "folds")
     arguments.add_argument("--only", nargs="+", default=None, help="names of folds, in this order")
     arguments.add_argument("--steps", type=int, default=Schedule.steps, help="of HuMoR's training")
@@ -59,7 +60,7 @@ def main() -> None:
 def measured(
     fold: Fold, corpus: Path, folder: Path, schedule: Schedule, count: int, body: BodyModel
 ) -> dict[str, Any]:
-    """What is known of a fold: as this commit found it earlier, or measured now."""
+    """Return a fold's results: those that this commit found earlier, or measured now."""
     priors = trained(fold, corpus, folder, schedule)
     own = commit(ROOT)
     identity = {"commit": own, "windows": count, "weights": priors.checksums}

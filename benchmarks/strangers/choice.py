@@ -1,4 +1,4 @@
-"""The windows of a fold's people that are fitted, spread over kinds of motion."""
+"""Chooses the windows of a fold's people that are fitted, spread over kinds of motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from training.humor.corpus import described_action, kind_of
 
 FRAMES = 60
 RUN_FRAMES = 30
-"""Recorded runs last less than two seconds."""
+"""Number of frames of windows of runs, which last less than two seconds."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,18 @@ class Chosen:
 def chosen(
     fold: Fold, corpus: Path, body: BodyModel, frames: int, count: int, kind: str | None = None
 ) -> Chosen | None:
-    """About so many windows of the held-out people, spread over kinds, clips and time.
+    """Choose about `count` windows of the held-out people, spread over kinds, clips and time.
 
     Args:
-        fold: whose people.
+        fold: the held-out people.
         corpus: folder of all converted motions.
-        body: of the motions.
-        frames: of every window, at 30 Hz.
-        count: windows to take, where there are as many that share no frame.
+        body: body model of the motions.
+        frames: length of every window, frames at 30 Hz.
+        count: number of windows to take, if there are as many that share no frame.
         kind: the only kind of motion to take; None takes all.
 
     Returns:
-        None where there is no such window.
+        The windows; None where there are none.
     """
     files = clip_files(corpus)
     own = {
@@ -67,7 +67,7 @@ def chosen(
 
 
 def starts(room: int, frames: int) -> list[int]:
-    """First frames of as many windows as fit without sharing any, from the middle outwards."""
+    """Return first frames of as many disjoint windows as fit, from the middle outwards."""
     count = room // frames
     spare = room - count * frames
     places = [k * frames + int(spare * (k + 0.5) / count) for k in range(count)]
@@ -77,11 +77,11 @@ def starts(room: int, frames: int) -> list[int]:
 def spread(
     kinds: Sequence[Sequence[Sequence[tuple[str, int]]]], count: int
 ) -> list[tuple[str, int]]:
-    """Windows in equal numbers of every kind as far as there are, and likewise of every clip.
+    """Choose equal numbers of windows of every kind as far as there are, and of every clip.
 
     Args:
-        kinds: for every kind, for every clip its windows, those to be taken first in front.
-        count: how many to take.
+        kinds: windows by kind and clip, those to be taken first in front.
+        count: number of windows to take.
     """
     available = [sum(len(clip) for clip in clips) for clips in kinds]
     quota = [0] * len(kinds)
@@ -94,7 +94,7 @@ def spread(
 
 
 def _of_kind(clips: Sequence[Sequence[tuple[str, int]]], count: int) -> list[tuple[str, int]]:
-    """One window of each clip, then a second one; evenly over clips where not all give one."""
+    """Choose one window of each clip, then a second one; evenly over clips that have one."""
     found: list[tuple[str, int]] = []
     for turn in range(max(len(clip) for clip in clips)):
         some = [clip[turn] for clip in clips if len(clip) > turn]

@@ -1,8 +1,8 @@
-"""HuMoR against the pose prior on strangers: ratios of errors and contacts, with 95 % intervals.
+"""Compares HuMoR with the pose prior on unseen people: ratios of errors and contacts.
 
-Within a fold whole clips are drawn again; where there are fewer than `FEWEST`, its windows are,
-which share no frame. Over all folds the folds are drawn again, too: how the mean would move with
-other people is what leave-one-person-out is for.
+For 95 % intervals, whole clips are resampled within a fold, or windows, which share no frame, if
+there are fewer clips than `FEWEST`. Over all folds the folds are resampled, too, since the
+interval is to show how the mean would change with other people.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,43 +16,43 @@ from benchmarks.strangers.fits import HUMOR, POSE
 from recon.benchmark.table import DRAWS, LEVEL, MeanWithInterval
 
 Row = Mapping[str, Any]
-"""Fields of `benchmarks.strangers.fits.Row`, as the folder of the folds keeps them."""
+"""Fields of `benchmarks.strangers.fits.Row`, as read from the folder of the folds."""
 Rows = Sequence[Row]
 Sums = Float[np.ndarray, "units sums"]
-"""Sums over the windows of every unit that is drawn."""
+"""Sums over the windows of every unit that is resampled."""
 Statistic = Callable[[Float[np.ndarray, "*draws sums"]], Float[np.ndarray, "*draws"]]
 
 FEWEST = 4
-"""Clips below which windows are drawn."""
+"""Number of clips below which windows are resampled."""
 
 
 def ratio(rows: Rows, protocol: str) -> Sums | None:
-    """Sums of an error under HuMoR and under the pose prior; None where no window has it."""
+    """Return sums of an error under HuMoR and under the pose prior; None if no window has it."""
     return _by_unit(rows, protocol, lambda pose, humor: (humor["error"], pose["error"]))
 
 
 def slip(rows: Rows, protocol: str) -> Sums | None:
-    """Sums of slip under HuMoR and of the truth."""
+    """Return sums of slip of the motion under HuMoR and of the truth."""
     return _by_unit(rows, protocol, lambda _, humor: (humor["slip"], humor["slip_truth"]))
 
 
 def contacts(rows: Rows, protocol: str) -> Sums | None:
-    """Counts of contacts by the motion under HuMoR, then by that under the pose prior."""
+    """Return counts of contacts from the motion under HuMoR, then under the pose prior."""
     return _by_unit(rows, protocol, lambda pose, humor: (humor["labels"], pose["labels"]))
 
 
 def network(rows: Rows, protocol: str) -> Sums | None:
-    """Counts of contacts by HuMoR's network, then by the motion that was found with its help."""
+    """Return counts of contacts by HuMoR's network, then from the motion fitted with its help."""
     return _by_unit(rows, protocol, lambda _, humor: (humor["network"], humor["labels"]))
 
 
 def quotient(sums: Float[np.ndarray, "*draws 2"]) -> Float[np.ndarray, "*draws"]:
-    """First sum over second."""
+    """Return the first sum divided by the second."""
     return sums[..., 0] / sums[..., 1]
 
 
 def balanced(counts: Float[np.ndarray, "*draws 4"]) -> Float[np.ndarray, "*draws"]:
-    """Balanced accuracy of counts of `Row.network`; of one kind alone where there is no other."""
+    """Return balanced accuracy from counts of `Row.network`; of one class if only it occurs."""
     right = np.stack((counts[..., 0], counts[..., 2]), -1)
     all_of_it = np.stack((counts[..., 1], counts[..., 3]), -1)
     shares = np.divide(right, all_of_it, out=np.full_like(right, np.nan), where=all_of_it > 0)
@@ -60,18 +60,18 @@ def balanced(counts: Float[np.ndarray, "*draws 4"]) -> Float[np.ndarray, "*draws
 
 
 def more_balanced(counts: Float[np.ndarray, "*draws 8"]) -> Float[np.ndarray, "*draws"]:
-    """Balanced accuracy of the first four counts less that of the others."""
+    """Return balanced accuracy of the first four counts minus that of the others."""
     return balanced(counts[..., :4]) - balanced(counts[..., 4:])
 
 
 def estimated(sums: Sums, statistic: Statistic) -> MeanWithInterval:
-    """A statistic of one fold."""
+    """Return a statistic of one fold with its interval."""
     drawn = _resampled(sums, statistic, np.random.default_rng(0))
     return _estimate(float(statistic(sums.sum(0))), drawn)
 
 
 def over_people(folds: Sequence[Sums], statistic: Statistic) -> MeanWithInterval:
-    """The mean of a statistic over folds."""
+    """Return the mean of a statistic over folds, with its interval."""
     random = np.random.default_rng(0)
     each = np.stack([_resampled(sums, statistic, random) for sums in folds])
     who = random.integers(0, len(folds), (len(folds), DRAWS))
@@ -82,7 +82,7 @@ def over_people(folds: Sequence[Sums], statistic: Statistic) -> MeanWithInterval
 def _by_unit(
     rows: Rows, protocol: str, compared: Callable[[Row, Row], tuple[Any, Any]]
 ) -> Sums | None:
-    """Sums over windows of what is compared in the rows by the pose prior and by HuMoR."""
+    """Sum over windows what `compared` takes from the rows of the pose prior and of HuMoR."""
     found: dict[tuple[str, int], dict[str, Row]] = {}
     for row in rows:
         if row["protocol"] == protocol:
@@ -118,12 +118,12 @@ COLUMNS = (
     ("slip / true slip", 2),
 )  # fmt: skip
 PROTOCOLS = ("noisy joints", "hidden points", "gap", "hidden legs")
-_CONTACTS = "noisy joints"
+_CONTACT_PROTOCOL = "noisy joints"
 """Protocol in which contacts and slip are compared."""
 
 
 def tables(found: Mapping[str, Any], note: str) -> dict[str, Table]:
-    """All tables of the folds that are measured."""
+    """Build the table of all folds that are measured."""
     rows = {name: fold["rows"] for name, fold in found.items()}
     folds = [[_name(name, found[name]), *_cells([own])] for name, own in rows.items()]
     if len(rows) > 1:
@@ -140,13 +140,13 @@ def _cells(folds: Sequence[Rows]) -> Iterator[Cell]:
     for protocol in PROTOCOLS:
         yield _compared([ratio(rows, protocol) for rows in folds], quotient)
     for counted in (contacts, network):
-        sums = [counted(rows, _CONTACTS) for rows in folds]
+        sums = [counted(rows, _CONTACT_PROTOCOL) for rows in folds]
         yield _compared(sums, more_balanced, factor=100)
-    yield _compared([slip(rows, _CONTACTS) for rows in folds], quotient)
+    yield _compared([slip(rows, _CONTACT_PROTOCOL) for rows in folds], quotient)
 
 
 def _compared(sums: Sequence[Sums | None], statistic: Statistic, factor: float = 1.0) -> Cell:
-    """A statistic with its interval; the mean over folds where there are several."""
+    """Return a statistic with its interval; the mean over folds where there are several."""
     present = [own for own in sums if own is not None]
     if len(present) == 0:
         return None

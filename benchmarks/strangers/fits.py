@@ -1,4 +1,4 @@
-"""A fold's windows, fitted under the pose prior and under HuMoR that never saw its people."""
+"""Fits a fold's windows under the pose prior and under a HuMoR that never saw its people."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,29 +27,29 @@ from recon.metrics.evaluation import ObservedPoints, evaluate
 
 SEED, AT_ONCE = 0, 16
 NOISE, GAP = 0.01, round(FPS)
-"""Metres of noise where a gap or the legs are hidden; frames of the gap."""
+"""Noise (m) where a gap or the legs are hidden; number of frames of the gap."""
 POSE, HUMOR = "pose", "humor"
 WHOLE = ("noisy joints", "hidden points", "gap")
-"""Protocols of windows of `FRAMES`."""
+"""Protocols for windows of `FRAMES` frames."""
 RUNS = ("noisy joints", "hidden points", "hidden legs")
-"""Protocols of the shorter windows of runs, which are too short for a gap of a second."""
+"""Protocols for the shorter windows of runs, which are too short for a gap of a second."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """The observations of a protocol for some windows, and the frames in which fits are judged."""
+    """Observations of a protocol for some windows, and the frames in which fits are judged."""
 
     observed: Joints3D | Markers3D
     noise: float
-    """Standard deviation that the method is told, metres per coordinate."""
+    """Standard deviation (m) of a coordinate that the method is given."""
     judged: slice
     metric: str
-    """Error that the protocol is about, as `recon evaluate` calls it."""
+    """Error by which the protocol is judged, as `recon evaluate` calls it."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One window by one method."""
+    """Errors and contacts of one window by one method."""
 
     window: str
     frames: int
@@ -71,7 +71,7 @@ class Row:
 
 
 def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:
-    """The observations of a protocol."""
+    """Simulate the observations of a protocol."""
     truth, every = windows.truth, slice(0, windows.truth.frames)
     if protocol == "noisy joints":
         return Seen(noisy_joints(truth, body, SEED), 0.04, every, "joints_all")
@@ -87,7 +87,7 @@ def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:
 
 
 def methods(priors: FoldPriors, noise: float) -> dict[str, Prior[Any]]:
-    """Methods of fitting, with the fold's own pose density in each."""
+    """Return the methods of fitting, with the fold's own pose density in each."""
     return {
         POSE: PosePrior(priors.density, PoseWeights.for_noise(noise)),
         HUMOR: Collocation.for_noise(priors.humor, noise, priors.density),
@@ -97,7 +97,7 @@ def methods(priors: FoldPriors, noise: float) -> dict[str, Prior[Any]]:
 def fits(
     chosen: Chosen, protocols: tuple[str, ...], priors: FoldPriors, body: BodyModel
 ) -> Iterator[Row]:
-    """All windows in some protocols by both methods."""
+    """Fit all windows in some protocols by both methods."""
     for protocol in protocols:
         shown = seen(protocol, chosen.windows, body)
         for name, method in methods(priors, shown.noise).items():
@@ -107,16 +107,16 @@ def fits(
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a method gave back for a batch of windows."""
+    """Result of a method for a batch of windows."""
 
     motion: Motion
     points: Float[Tensor, "clips time points 3"]
-    """Places that it gives the observation's points."""
+    """Fitted places (m) of the observation's points."""
     network: Float[Tensor, "clips time 22"] | None
-    """Probability of contact by the prior's network; None where it says nothing of it."""
+    """Probability of contact by the prior's network; None if it does not predict it."""
 
     def frames(self, part: slice) -> "Fitted":
-        """Some frames of every clip."""
+        """Return some frames of every clip."""
         network = None if self.network is None else self.network[:, part]
         return Fitted(self.motion.window(part.start, part.stop), self.points[:, part], network)
 
@@ -175,7 +175,7 @@ def _rows(
 def feet_right(
     said: Bool[Tensor, "time 22"], touching: Bool[Tensor, "time 22"]
 ) -> tuple[int, int, int, int]:
-    """Counts of `Row.network` over ankles and toes."""
+    """Return counts as those of `Row.network` over ankles and toes."""
     said, touching = said[:, list(FEET)], touching[:, list(FEET)]
     return (
         int((said & touching).sum()),

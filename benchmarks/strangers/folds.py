@@ -1,4 +1,4 @@
-"""People held out one at a time, and the clips that the priors of the others then learn from."""
+"""Holds out people one at a time, and the clips that the other people's priors learn from."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -18,39 +18,39 @@ from recon.core.skeleton import PARENTS
 from recon.formats.motions import load_motion
 
 SHORT = 20.0
-"""Seconds: people of whom less was recorded are held out together."""
+"""Total duration (s) of a person's recordings below which people are held out together."""
 GROUP = "short"
 """Name of the fold of these people."""
 UNKNOWN = "unknown"
-"""The subject of clips of which nobody knows who moves in them."""
+"""Subject of clips whose person is unknown."""
 NEAR = 6.0
-"""Degrees: a clip of unknown people that lies nearer to somebody may show that person. Takes of
-one walker lie within 3.8 degrees of each other; no other person comes nearer to test subject 07
-than this."""
-_RATE = 10.0
-"""Frames per second at which motions are compared."""
+"""Distance (degrees) below which a clip of unknown people may show a given person. Takes of one
+walker lie within 3.8 degrees of each other; no other person comes nearer to test subject 07 than
+6."""
+_RATE_HZ = 10.0
+"""Frame rate (Hz) at which motions are compared."""
 
 Directions = Float[Tensor, "frames 21 3"]
 
 
 @dataclass(frozen=True)
 class Fold:
-    """People who are held out together, and the parts of the corpus while they are."""
+    """People who are held out together, and the parts of the corpus meanwhile."""
 
     name: str
     people: tuple[str, ...]
     splits: Splits
-    """They are the validation part, everybody else outside test is the training part."""
+    """Parts of the corpus: they are validation, everybody else outside test is training."""
 
 
 def folds(seconds: Mapping[str, float], splits: Splits) -> tuple[Fold, ...]:
-    """Everybody outside test, each alone, and together those with less than `SHORT` seconds.
+    """Return a fold for everybody outside test, and one for people with less than `SHORT` seconds.
 
     Clips of unknown people belong to no fold, and those for non-commercial use are left out.
 
     Args:
-        seconds: length of every clip of the corpus.
-        splits: who is tested, and what belongs to nobody.
+        seconds: duration of every clip of the corpus.
+        splits: test people, and clips of unknown people.
     """
     recorded: dict[str, float] = {}
     for clip, part in splits.parts(list(seconds)).items():
@@ -69,12 +69,12 @@ def _without(splits: Splits, people: tuple[str, ...]) -> Splits:
 
 
 def without_doubles(fold: Fold, motions: Mapping[str, Directions]) -> Fold:
-    """The fold without the clips of unknown people that may show its own people.
+    """Return the fold without clips of unknown people that may show its own people.
 
-    Excluded is whatever lies nearer to one of them than `NEAR` degrees.
+    Excluded are clips that are nearer to one of them than `NEAR` degrees.
 
     Args:
-        fold: whose people are held out.
+        fold: the held-out people.
         motions: directions of bones of every clip.
     """
     parts = fold.splits.parts(list(motions))
@@ -86,8 +86,8 @@ def without_doubles(fold: Fold, motions: Mapping[str, Directions]) -> Fold:
 
 
 def directions(motion: Motion, body: BodyModel) -> Directions:
-    """Unit directions of all bones at 10 Hz, turned about the vertical until the body faces x."""
-    some = motion.resample(_RATE)
+    """Return unit vectors of all bones at 10 Hz, turned about z so that the body faces x."""
+    some = motion.resample(_RATE_HZ)
     joints = body.pose(some).joints
     bones = joints[:, 1:] - joints[:, list(PARENTS[1:])]
     bones = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-9)
@@ -97,7 +97,7 @@ def directions(motion: Motion, body: BodyModel) -> Directions:
 
 
 def distance(clip: Directions, others: Directions) -> float:
-    """Median over a clip's frames of the mean bone angle to the nearest other frame, degrees."""
+    """Return the median over a clip's frames of the mean bone angle to the nearest other frame."""
     nearest = [
         torch.einsum("bi,fbi->fb", frame, others).clamp(-1, 1).acos().mean(1).min()
         for frame in clip
@@ -108,7 +108,7 @@ def distance(clip: Directions, others: Directions) -> float:
 def corpus_folds(
     corpus: Path, splits: Splits, body: BodyModel, names: Sequence[str] | None = None
 ) -> tuple[Fold, ...]:
-    """The folds of a corpus, or those of some names in that order, without doubles.
+    """Return the folds of a corpus, or those of some names in that order, without doubles.
 
     Raises:
         ValueError: when there is no fold of a name.

@@ -1,4 +1,4 @@
-"""Priors that never saw a fold's people: trained by a short schedule, kept, and gone on with."""
+"""Trains priors that never saw a fold's people, by a short schedule, and keeps them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,24 +15,24 @@ from training.run import CHECKPOINT, read_state
 from training.settings import identity_of_run, refuse_other_run
 
 SAVED_EVERY = 60.0
-"""Seconds."""
+"""Time (s) between saved checkpoints."""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long a fold's HuMoR learns; the pose density has a closed form."""
+    """Length of the training of a fold's HuMoR; the pose density has a closed form."""
 
     steps: int = 1500
-    """Steps of the optimiser."""
+    """Number of steps of the optimiser."""
     windows: int = 200
-    """Windows per step."""
+    """Number of windows per step."""
     width: int = 512
-    """Units of the hidden layers."""
+    """Number of units of the hidden layers."""
 
 
 @dataclass(frozen=True)
 class FoldPriors:
-    """Priors of a fold: poses and steps."""
+    """Priors of a fold: HuMoR and the pose density."""
 
     humor: Humor
     density: PoseDensity
@@ -41,7 +41,7 @@ class FoldPriors:
 
 
 def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTraining:
-    """The training of a fold's HuMoR.
+    """Return the settings of the training of a fold's HuMoR.
 
     It validates once, after its last step, so that nothing is chosen on the held-out people.
     """
@@ -59,13 +59,13 @@ def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTrain
 
 
 def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldPriors:
-    """A fold's priors: read where they are trained already, else trained, or gone on with.
+    """Return a fold's priors: read them if trained already, else train or continue.
 
     Args:
-        fold: who is held out.
+        fold: the held-out people.
         corpus: folder of all converted motions.
-        folder: of all folds; this one's files lie in a folder of its name.
-        schedule: of HuMoR.
+        folder: folder of all folds; this one's files lie in a folder of its name.
+        schedule: length of HuMoR's training.
 
     Raises:
         ValueError: when the folder holds a run that learned from other clips or otherwise.
@@ -91,7 +91,7 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
 
 def finished(settings: HumorTraining) -> bool:
-    """Whether the folder holds this run, with all of its steps.
+    """Return whether the folder holds this run, with all of its steps.
 
     Raises:
         ValueError: when it holds another run.

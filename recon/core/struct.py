@@ -18,16 +18,11 @@ class TensorStruct:
 
     def map(self: _S, function: Callable[[Tensor], Tensor]) -> _S:
         """The record with `function` applied to every tensor in it."""
-
-        def change(value: Any) -> Any:
-            if isinstance(value, Tensor):
-                return function(value)
-            if isinstance(value, TensorStruct):
-                return value.map(function)
-            return value
-
         record = cast(Any, self)
-        changed = {f.name: change(getattr(record, f.name)) for f in dataclasses.fields(record)}
+        changed = {
+            field.name: _mapped(getattr(record, field.name), function)
+            for field in dataclasses.fields(record)
+        }
         return record.derived(**changed)
 
     def to(
@@ -37,11 +32,9 @@ class TensorStruct:
         dtype: torch.dtype | None = None,
     ) -> _S:
         """The record on another device, its floating point tensors in another precision."""
-
-        def move(tensor: Tensor) -> Tensor:
-            return tensor.to(device=device, dtype=dtype if tensor.is_floating_point() else None)
-
-        return cast(Any, self).map(move)
+        return cast(Any, self).map(
+            lambda x: x.to(device=device, dtype=dtype if x.is_floating_point() else None)
+        )
 
     def detach(self: _S) -> _S:
         """The record with its tensors detached from the autograd graph."""
@@ -81,6 +74,15 @@ class TensorStruct:
             elif isinstance(value, TensorStruct):
                 found |= {f"{field.name}.{name}": t for name, t in value.tensors().items()}
         return found
+
+
+def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
+    """A field's value with `function` applied to the tensors in it."""
+    if isinstance(value, Tensor):
+        return function(value)
+    if isinstance(value, TensorStruct):
+        return value.map(function)
+    return value
 
 
 S = TypeVar("S", bound=TensorStruct)

@@ -1,4 +1,4 @@
-"""Detects fits to clouds that ended in a wrong local minimum: by labels, outline and surface."""
+"""Detects body fits to point clouds that converged to a wrong posture or heading."""
 
 import math
 
@@ -13,22 +13,23 @@ from recon.diagnosis.findings import Finding
 from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
 
-_MOMENTS = 12
-"""Frames of the cloud that are looked at."""
-_SURE = 0.5
-"""Confidence of the labels that are asked."""
-_MANY = 0.75
-"""Share of the frames in which labels ought to agree with the body."""
+_MAX_FRAMES = 12
+"""Largest number of frames of a cloud that are compared with the fit."""
+_MIN_LABEL_CONFIDENCE = 0.5
+"""Confidence above which a point's body-part label is used."""
+_FRAME_QUANTILE = 0.75
+"""Quantile over frames of the median label distance: a fit may be wrong in a quarter of a clip
+only."""
 _MIN_LABELLED = 10
-"""Labelled points that a frame must have to be used."""
+"""Number of confidently labelled points that a frame must have to be used."""
 
 
 def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
-    """Distance of a confidently labelled point from the labelled place on the fitted body, metres.
+    """Return how far (m) labelled points are from their labelled place on the fitted body.
 
-    Median over the points of a moment, and upper quartile over some moments: labels of some parts
-    and of some moments are wrong, but not those of most, and a fit may be wrong for a part of the
-    clip only. None without labels or sure points.
+    This is the median over the points of a frame, and the upper quartile over up to twelve frames:
+    some labels are wrong, and a fit may be wrong in part of the clip only. None without labels, or
+    without enough confident ones.
     """
     if cloud.labels is None:
         return None
@@ -40,36 +41,37 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
         )  # fmt: skip
     index = torch.from_numpy(cloud.surfels.vertices)
     rest = estimate.body.model.template[index]
-    sure = (cloud.labels.confidence > _SURE) & cloud.present
+    sure = (cloud.labels.confidence > _MIN_LABEL_CONFIDENCE) & cloud.present
     usable = [m for m in range(seen.start, seen.stop) if int(sure[0, m].sum()) >= _MIN_LABELLED]
     found: list[float] = []
-    for moment in usable[:: max(math.ceil(len(usable) / _MOMENTS), 1)]:
+    for moment in usable[:: max(math.ceil(len(usable) / _MAX_FRAMES), 1)]:
         own = sure[0, moment]
         places = cloud.labels.places[0, moment][own].to(rest)
         here, points = middles[0, moment - seen.start], cloud.points[0, moment][own]
         surfel = torch.cdist(places, rest).argmin(-1)
         found.append(float((here[surfel] - points).norm(dim=-1).median()))
-    return float(np.quantile(found, _MANY)) if found else None
+    return float(np.quantile(found, _FRAME_QUANTILE)) if found else None
 
 
-_BESIDE = 0.06
-"""Metres at the body within which a point of the cloud stands for a place of the surface; clouds
-of half a thousand points are about as dense."""
-_STICKING_OUT = 0.25
-"""Share of the surface facing the sensor that may lie outside the cloud's outline. Fits of
-validation people that are right have 1 %, those whose lower half is hidden 47 %."""
-_FAR_POINTS = 0.06
-"""Metres that the farthest tenth of the points may be away from the body; right fits have 2 cm."""
-_NOISY = 2.0
-"""Multiple of the sensor's standard deviation that the farthest tenth may be away in addition; a
-tenth of normal deviations is larger than 1.6."""
-_ELSEWHERE = 0.075
-"""Metres, in addition to the sensor's noise, that points may lie away from the places that their
-labels name in a quarter of the moments. On validation windows right fits have 3 to 5 cm, and up to
-7 cm before a sensor with 5 cm of noise; a fit that is 12 cm wrong has 11 cm."""
-_NO_BODY = 0.8
-"""Mean probability of lying on a body below which points are taken to show something else. People
-have 0.99, tables and chairs 0.3 to 0.7; a box of the size of a person passes for one."""
+_MAX_RAY_DISTANCE_M = 0.06
+"""Distance (m) from a point of the surface to the nearest ray of a measured point up to which it
+counts as covered; clouds of 500 points are about as dense."""
+_MAX_SHARE_OUTSIDE = 0.25
+"""Share of the surface facing the sensor that may lie outside the cloud's outline. Right fits to
+validation people have 1 %, those to people whose lower half is hidden 47 %."""
+_MAX_FAR_M = 0.06
+"""Distance (m) from the body that the 90th percentile of the points may have without sensor noise;
+right fits have 2 cm."""
+_MAX_FAR_STDS = 2.0
+"""Standard deviations of the sensor's noise by which the 90th percentile may be farther; of the
+absolute values of normal deviations it is 1.64."""
+_MAX_LABEL_M = 0.075
+"""Limit (m) on `label_distance`, in addition to the sensor's noise. On validation windows right
+fits have 3 to 5 cm, and up to 7 cm with 5 cm of sensor noise; a fit that is 12 cm wrong has 11
+cm."""
+_ON_BODY = 0.8
+"""Mean probability that points lie on a body, below which they are taken to show something else.
+People have 0.99, tables and chairs 0.3 to 0.7; a box of the size of a person passes for one."""
 
 
 def basin_findings(
@@ -78,13 +80,13 @@ def basin_findings(
     quantiles: tuple[float, ...] | None,
     estimate: Estimate,
 ) -> list[Finding]:
-    """A warning where a fit to depth seems to be in a wrong local minimum of posture or heading.
+    """Return a warning where a body fitted to a cloud seems to have a wrong posture or heading.
 
     Args:
-        name: of the sensor, for the message.
-        cloud: of one clip.
-        quantiles: of its residuals, the 50th, 90th and 99th percentile; None where there are none.
-        estimate: the fit.
+        name: name of the sensor, for the message.
+        cloud: point cloud of one clip.
+        quantiles: 50th, 90th and 99th percentile of the residuals (m); None without residuals.
+        estimate: fitted motion and scene.
     """
     if quantiles is None:
         return []
@@ -97,14 +99,14 @@ def basin_findings(
     noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
     reasons = {
         f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
-            far > math.hypot(_FAR_POINTS, _NOISY * noise)
+            far > math.hypot(_MAX_FAR_M, _MAX_FAR_STDS * noise)
         ),
         f"{100 * outside:.0f} % of its surface lies where the sensor saw no body": (
-            outside > _STICKING_OUT
+            outside > _MAX_SHARE_OUTSIDE
         ),
         f"half of the points lie more than {100 * labelled:.0f} cm from the part of it that they "
-        "look like, in a quarter of the moments": labelled > math.hypot(_ELSEWHERE, noise),
-        "the points look like furniture or something else that is no body": (on_body < _NO_BODY),
+        "look like, in a quarter of the moments": labelled > math.hypot(_MAX_LABEL_M, noise),
+        "the points look like furniture or something else that is no body": (on_body < _ON_BODY),
     }
     said = [reason for reason, holds in reasons.items() if holds]
     if not said:
@@ -122,10 +124,11 @@ def basin_findings(
 
 
 def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
-    """Share of the visible surface that no point of the cloud covers.
+    """Return the share of the fitted surface facing the sensor that no cloud point covers.
 
-    Median over some moments; None without a sensor or where nothing was seen. Parts of the body
-    behind an occluder count as outside, too; those beyond the image's borders do not.
+    This is the median over up to twelve frames; None without a sensor's pose or where nothing was
+    seen. Parts of the body behind an occluder count as outside; those beyond the image's borders
+    do not.
     """
     if cloud.camera is None:
         return None
@@ -141,7 +144,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
         )
     full = [m for m in range(seen.start, seen.stop) if bool(cloud.present[0, m].any())]
     shares: list[float] = []
-    for moment in full[:: max(math.ceil(len(full) / _MOMENTS), 1)]:
+    for moment in full[:: max(math.ceil(len(full) / _MAX_FRAMES), 1)]:
         camera, row = cloud.camera.at(range(moment, moment + 1)), moment - seen.start
         eye = camera.T_world_camera[0, 0, :3, 3]
         shown = faces_eye(middles[0, row], normals[0, row], eye) & _in_image(
@@ -157,7 +160,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
 def _in_image(
     camera: Camera, places: Float[torch.Tensor, "surfels 3"]
 ) -> Bool[torch.Tensor, " surfels"]:
-    """Whether points lie in front of the sensor and within its image."""
+    """Return a mask of the points that lie in front of the sensor and within its image."""
     seen = camera.project(places[None, None])
     return (seen.in_front & camera.in_image(seen.pixels))[0, 0]
 
@@ -165,10 +168,10 @@ def _in_image(
 def _share_far_from_rays(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
-    """Share of the surface for which no point is near the line of sight from the origin."""
+    """Return the share of surface points that are far from the rays of all cloud points."""
     from scipy.spatial import KDTree
 
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())
     distance = surface.norm(dim=-1, keepdim=True)
     angle, _ = tree.query((surface / distance).numpy())
-    return float((angle * distance[:, 0].numpy() > _BESIDE).mean())
+    return float((angle * distance[:, 0].numpy() > _MAX_RAY_DISTANCE_M).mean())

@@ -1,10 +1,9 @@
-"""Checks of cameras by the fitted person: distance, focal length, scale and movement.
+"""Warns of wrong cameras, judged by the fitted person: distance, focal length, movement.
 
-Whoever stands, walks or dances has some part of a foot at rest on the ground most of the time. In
-the image of a fixed camera its keypoints then stay where they are. In that of a phone in the hand,
-one that is panned with a walker, or one that is carried along, nothing ever stays. Who runs or
-jumps has no foot at rest most of the time either, but flies then, and rests in between for a
-moment.
+People who stand, walk or dance have some part of a foot at rest on the ground most of the time. In
+the image of a fixed camera its keypoints then keep their place; in the image of a camera that is
+held in the hand, panned with a walker or carried along, nothing ever does. People who run or jump
+have no foot at rest most of the time, but rest briefly between their flights.
 """
 
 from dataclasses import dataclass, replace
@@ -25,15 +24,15 @@ from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
 from recon.method.sensor import views_of
 
-_NEAR, _FAR = 0.7, 40.0
-"""Metres at which people are filmed."""
+_MIN_DISTANCE_M, _MAX_DISTANCE_M = 0.7, 40.0
+"""Smallest and largest distance (m) from which people are usually filmed."""
 
 
 def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
-    """Warn of an implausible distance of the person, which a wrong focal length causes."""
+    """Warn of an implausible distance from the camera, which a wrong focal length causes."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
-    if _NEAR < distance < _FAR:
+    if _MIN_DISTANCE_M < distance < _MAX_DISTANCE_M:
         return []
     return [
         Finding(
@@ -45,18 +44,18 @@ def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[
     ]
 
 
-_LEAST, _MOST = 0.5, 2.0
-"""Factors by which a found focal length may be off the guessed one; beyond them, one is wrong."""
+_MIN_LENS, _MAX_LENS = 0.5, 2.0
+"""Smallest and largest plausible ratio of the fitted focal length to the initially assumed one."""
 
 
 def lens_findings(name: str, found: ClipFit) -> Findings:
-    """A finding with the fitted focal length of the uncalibrated camera; none if all are known.
+    """Return a note of the focal length that was fitted for an uncalibrated camera, if any.
 
-    A warning where it is none of a phone's main camera.
+    It is a warning where the value is implausible for the main camera of a phone.
 
     Args:
-        name: of the camera, for the message.
-        found: the fit of one clip.
+        name: name of the camera, for the message.
+        found: fit of one clip.
     """
     lens = found.result.estimate.scene.lens
     if not found.lens_found or lens is None:
@@ -70,24 +69,24 @@ def lens_findings(name: str, found: ClipFit) -> Findings:
         "much as it is wrong. Give a calibration (--camera) where distances matter"
     )
     said = (Finding("focal", message, value=focal),)
-    return Findings(diagnosis=said) if _LEAST < factor < _MOST else Findings(warnings=said)
+    return Findings(diagnosis=said) if _MIN_LENS < factor < _MAX_LENS else Findings(warnings=said)
 
 
 _STEP = 0.01
-_TELLING = frozenset({"height", "known shape"})
-"""Terms by which a caller gives the size of the person."""
+_SIZE_TERMS = frozenset({"height", "known shape"})
+"""Names of the terms by which a caller gives the height or shape of the person."""
 
 
 def size_is_unknown(found: ClipFit) -> bool:
-    """Whether only images from one place, without a ground, show how large the person is.
+    """Whether the person's size is undetermined: images from one place only, no known ground.
 
-    Perspective alone would, if bodies and detections were exact; they are not.
+    Perspective alone would determine it only if bodies and detections were exact.
     """
     views = views_of(found.observations)
     if found.ground_known or len(views) == 0 or len(views) < len(found.observations):
         return False
     stages = [report.stage for report in found.result.reports]
-    given = any(term.name in _TELLING for stage in stages for term in stage.terms)
+    given = any(term.name in _SIZE_TERMS for stage in stages for term in stage.terms)
     if given or not any("shape" in stage.free for stage in stages):
         return False
     alike = on_first_clock(views)
@@ -95,10 +94,10 @@ def size_is_unknown(found: ClipFit) -> bool:
 
 
 def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
-    """Standard deviations that include the unknown size of the person, and with it the distance.
+    """Increase standard deviations by the effect of the person's unknown size and distance.
 
-    Everything is scaled about the camera by a factor whose standard deviation is that of people's
-    heights.
+    An unknown size scales everything about the camera's centre by one factor, whose standard
+    deviation is that of people's heights relative to their mean.
     """
     estimate = found.result.estimate
     body = estimate.body.model.to(dtype=torch.float64)
@@ -125,98 +124,100 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
 
 
 def _height_direction(body: BodyModel, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
-    """Metres that a standard deviation of every coefficient adds to the height."""
+    """Return the change of body height (m) per standard deviation of every shape coefficient."""
     steps = shape + _STEP * torch.eye(len(shape)).to(shape)
     return torch.stack([(body.height(one) - body.height(shape)) / _STEP for one in steps])
 
 
-_CONTACTS = tuple(
+_CONTACT_KEYPOINTS = tuple(
     tuple(f"{side}_{name}" for name in names)
     for side in ("left", "right")
     for names in (("heel", "ankle"), ("big_toe", "small_toe"))
 )
-"""Keypoints of the parts of feet that rest on the ground."""
-_LAG = 0.2
-"""Seconds over which velocities are taken."""
+"""Keypoint names of the parts that rest on the ground: heel and toes of each foot."""
+_LAG_S = 0.2
+"""Time (s) between the two image positions from which a velocity is computed."""
 _MIN_RESTING_SHARE = 0.3
-"""Share of the moments in which some part of a foot rests, of a fixed camera."""
+"""Share of the frames in which some part of a foot rests if the camera is fixed."""
 _MIN_SEEN_S = 0.8
-"""Seconds for which feet must be seen."""
-_MOVES = 0.035
-"""Metres per second, at the person, from which on what rests most moves in the image. In simulated
-films of validation people by fixed cameras it reaches 0.018, in real ones 0.025."""
-_FLIES, _SELDOM = 0.5, 0.05
-"""Metres per second by which what rests most moves in so small a share of the moments, from which
-on the person may run or jump. Training people who walk before a phone in the hand stay below,
-those who run before a fixed camera above, in 19 clips of 20."""
-_BRIEF, _SOMETIMES = 0.13, 0.2
-"""Seconds for which a foot of somebody who runs or jumps rests, and the share of the moments."""
-_NEVER_RESTS, _EVEN = 0.05, 0.12
-"""Speed, metres per second and as a share of that of the flights, from which on not even then
-does a foot rest. Training people who run before fixed cameras reach a share of 0.10."""
-_HINT = 0.01
-"""Metres per second below which feet rest as before a fixed camera, in 19 of 20 simulated films of
+"""Total time (s) for which feet must be seen."""
+_MOVING_M_S = 0.035
+"""Speed (m/s at the person) of the slowest part of the feet, above which the camera moves. It
+reaches 0.018 in simulated films of validation people by fixed cameras, 0.025 in real ones."""
+_FLYING_M_S, _FLYING_SHARE = 0.5, 0.05
+"""Speed (m/s) that the slowest part of the feet exceeds in this share of the frames if the person
+may run or jump. In 19 of 20 clips, training people who walk before a phone held in the hand stay
+below it, and those who run before a fixed camera exceed it."""
+_BRIEF_S, _BRIEF_SHARE = 0.13, 0.2
+"""Time (s) for which a foot of a runner or jumper rests, and the share of such frames."""
+_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE = 0.05, 0.12
+"""Speed of the slowest part of the feet over `_BRIEF_S`, in m/s and as a share of its speed in
+flight, above which not even a runner's foot rests, so that the camera moves. Training people who
+run before fixed cameras reach a share of 0.10."""
+_RESTING_M_S = 0.01
+"""Speed (m/s) below which feet rest as before a fixed camera, in 19 of 20 simulated films of
 validation people."""
-_FAST = 0.3
-"""Metres per second from which on the camera is panned or carried along rather than shaken."""
+_CARRIED_M_S = 0.3
+"""Speed (m/s) above which the camera is panned or carried along rather than shaken."""
 
 
 @dataclass(frozen=True)
 class SlowestFootSpeeds:
-    """How fast the slowest part of the feet moves in the image."""
+    """Speeds of whichever part of the feet moves slowest in the image, in m/s at the person."""
 
     speed: float
-    """Metres per second at the person, without what the noise of the keypoints makes of it."""
+    """Speed that is undercut in `_MIN_RESTING_SHARE` of the frames, corrected for keypoint
+    noise."""
     noise: float
-    """Speed that the noise makes of a keypoint at rest, metres per second."""
+    """Speed (m/s) that keypoint noise alone makes a resting keypoint appear to have."""
     flying: float
-    """Speed of what rests most in the few moments in which it is fastest, metres per second."""
+    """Speed (m/s) that is exceeded in `_FLYING_SHARE` of the frames only, as in flight."""
     brief: float
-    """Speed over a short time, of the fifth of the moments in which it is slowest, without what
-    the noise makes of it; metres per second."""
+    """Speed (m/s) over the time `_BRIEF_S` that is undercut in `_BRIEF_SHARE` of the frames,
+    corrected for keypoint noise."""
 
     @property
     def moves(self) -> bool:
-        """Whether even resting feet move in the image, so that the camera surely moves."""
-        never = self.brief > max(_NEVER_RESTS, _EVEN * self.flying)
-        return self.speed > _MOVES and (self.flying < _FLIES or never)
+        """Whether the camera surely moves, as even resting feet move in the image."""
+        never = self.brief > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.flying)
+        return self.speed > _MOVING_M_S and (self.flying < _FLYING_M_S or never)
 
     @property
     def may_move(self) -> bool:
-        """Whether the camera may move: the slowest feet move faster than resting ones."""
-        return self.speed > _HINT
+        """Whether the camera may move, as the slowest feet move faster than resting ones do."""
+        return self.speed > _RESTING_M_S
 
 
 def slowest_foot_speeds(images: Images) -> SlowestFootSpeeds | None:
-    """The slowest speeds of the feet in a single view; None where feet are hardly seen."""
-    usual, brief = _speed_of_resting_foot(images, _LAG), _speed_of_resting_foot(images, _BRIEF)
+    """Measure the slowest image speeds of the feet in one view; None if feet are hardly seen."""
+    usual, brief = _slowest_speeds(images, _LAG_S), _slowest_speeds(images, _BRIEF_S)
     if usual is None or brief is None:
         return None
     return SlowestFootSpeeds(
         speed=_speed_quantile(*usual, _MIN_RESTING_SHARE),
         noise=usual[1],
-        flying=float(np.quantile(usual[0], 1 - _SELDOM)),
-        brief=_speed_quantile(*brief, _SOMETIMES),
+        flying=float(np.quantile(usual[0], 1 - _FLYING_SHARE)),
+        brief=_speed_quantile(*brief, _BRIEF_SHARE),
     )
 
 
 def _speed_quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float) -> float:
-    """A quantile of speed over time, corrected for the noise."""
+    """Return a quantile of speed over time (m/s) after subtracting the variance of the noise."""
     return float(np.sqrt(max(np.quantile(speeds, share) ** 2 - noise**2, 0.0)))
 
 
-def _speed_of_resting_foot(
+def _slowest_speeds(
     images: Images, lag: float
 ) -> tuple[Float[np.ndarray, " moments"], float] | None:
-    """Speed of the slowest part of the feet, at every moment where one was seen.
+    """Return the speed of the slowest part of the feet in every frame, and that of noise.
 
-    Metres per second at the person over a time lag, seconds, and the speed that the noise makes;
-    None where feet are hardly seen.
+    Both are in m/s at the person, computed over a time lag (s); the second is the speed that
+    keypoint noise gives a resting foot. None where feet are hardly seen.
     """
     half = max(1, round(lag * images.fps / 2))
     rows = [
         [images.points.index(name) for name in names if name in images.points]
-        for names in _CONTACTS
+        for names in _CONTACT_KEYPOINTS
     ]
     place = np.stack(
         [images.shown[0, :, own].mean(0) for own in rows if own] or [np.zeros((0, 2))]
@@ -238,18 +239,18 @@ def _speed_of_resting_foot(
 
 
 def moving_finding(name: str, images: Images, rest: SlowestFootSpeeds) -> Finding:
-    """A finding if the only camera of a clip moves although it is declared fixed.
+    """Return the warning that the only camera of a clip moves although it is declared fixed.
 
     Args:
-        name: of the camera, for the message.
-        images: of the one view.
-        rest: how fast its feet move.
+        name: name of the camera, for the message.
+        images: keypoints of the only view.
+        rest: image speeds of the slowest part of its feet.
     """
     pixels = rest.speed * float(np.median(images.scale[0]))
     how = (
         "as where the camera is panned with a person or carried along, or the person is on a "
         "treadmill"
-        if rest.speed > _FAST
+        if rest.speed > _CARRIED_M_S
         else "as where the camera is held in the hand, or slowly panned"
     )
     return Finding(

@@ -1,9 +1,9 @@
-"""Detects a turning camera declared fixed: all standing feet seem to turn about one axis.
+"""Detects a camera that turned though declared fixed: all standing feet turn about one axis.
 
 In the frame of a camera that is carried around a person, or panned, the whole room turns the other
-way. Feet that stand in the room then move as points of one rigid plate, all of them at one rate
-about the vertical. People who turn do so step by step: one foot turns while the other stands, and
-each by a rate of its own. On a treadmill all feet are carried too, but none turns.
+way. Feet that stand in the room then move like points of one rigid body, all with the same angular
+velocity about the vertical. People who turn do so step by step: one foot turns while the other
+stands, each with a rate of its own. A treadmill carries all feet along, too, but turns none.
 """
 
 import numpy as np
@@ -19,40 +19,43 @@ from recon.diagnosis.movement import Movement
 _FEET = tuple(
     [joint_index(f"{side}_{part}") for part in ("ankle", "foot")] for side in ("left", "right")
 )
-_LAG = 0.13
-"""Seconds over which velocities are taken."""
+_LAG_S = 0.13
+"""Time (s) between the two positions from which a velocity is computed."""
 _MAX_HEIGHT_DIFFERENCE_M = 0.04
-"""Metres by which a standing foot may be higher than the other: a ground that is estimated from
-one image is not exact, so that heights above it do not show who stands."""
-_UPWARD = 0.35
-"""Metres per second up to which a foot may rise or sink while it stands."""
-_SCALE = 0.1
-"""Metres per second by which soles that stand differ from one plate in a fit to one camera."""
+"""Metres by which a standing foot may be higher than the lower one. Heights above the ground are
+not used, as a ground that is estimated from one image is not exact."""
+_MAX_VERTICAL_M_S = 0.35
+"""Vertical speed (m/s) below which a foot may count as standing."""
+_LOSS_SCALE_M_S = 0.1
+"""Scale of Cauchy's loss (m/s): deviation of standing soles from a rigid motion in a fit to one
+camera."""
 _ITERATIONS = 20
-"""Iterations of reweighting."""
-_MIN_MOMENTS = 20
-"""Least number of samples of a standing foot."""
+"""Number of iterations of reweighted least squares."""
+_MIN_STANDING = 20
+"""Least number of standing feet, counted over all frames; each has two sole points."""
 _RATES_DEG_S = (9.0, 50.0)
-"""Degrees per second at which cameras are carried around a person or panned with one; people who
-turn on the spot or climb reach less and more."""
-_LEAST_GAIN = 0.07
-"""Robust misfit of the soles' velocities that must vanish when the plate may turn, per sample."""
-_LEAST_SHARE = 0.1
-"""Share of the robust misfit that must vanish when the plate may turn. Good fits to one camera of
-validation people, at rates above the least, reach 0.09; those to a camera that is carried around
-the person by 20 degrees per second have more in four clips of five."""
-_SURE_SHARE = 0.15
-"""Share that must vanish where feet rest in the image, as they do before a fixed camera."""
+"""Angular speeds (degrees per second) between which a camera is carried or panned; people who turn
+on the spot are slower, those who climb faster."""
+_MIN_GAIN = 0.07
+"""Least decrease of the mean Cauchy loss per sample when the rigid motion may include a
+rotation."""
+_MIN_GAIN_SHARE = 0.1
+"""The same as a share of the loss without rotation. Good fits to one camera of validation people,
+at rates above the smallest, reach 0.09; of those to a camera that is carried around the person at
+20 degrees per second, four in five have more than 0.1."""
+_MIN_GAIN_SHARE_AT_REST = 0.15
+"""The same where feet rest in the image, as they do before a fixed camera."""
 
 
 def standing_soles(
     movement: Movement, observed: Bool[np.ndarray, "time 2"] | None = None
 ) -> tuple[Float[np.ndarray, "samples 2"], Float[np.ndarray, "samples 2"]]:
-    """Horizontal positions and velocities of heels and toes while they stand; metres, seconds.
+    """Return horizontal positions (m) and velocities (m/s) of heels and toes while they stand.
 
-    Feet stand by their height alone, and count where they are `observed`, which may be all.
+    A foot stands where it is hardly higher than the other one and hardly rises or sinks; frames in
+    which it is not `observed` are left out (None: all feet are observed).
     """
-    half = max(1, round(_LAG * movement.fps / 2))
+    half = max(1, round(_LAG_S * movement.fps / 2))
     if movement.frames <= 2 * half:
         return np.zeros((0, 2)), np.zeros((0, 2))
     now = slice(half, movement.frames - half)
@@ -63,7 +66,7 @@ def standing_soles(
     heights = movement.sole_heights[now]
     rising = np.maximum(*(abs(speed(p)[..., 2]) for p in (movement.ankles, movement.toes)))
     low = heights < heights.min(1, keepdims=True) + _MAX_HEIGHT_DIFFERENCE_M
-    standing = low & (rising < _UPWARD) & (True if observed is None else observed[now])
+    standing = low & (rising < _MAX_VERTICAL_M_S) & (True if observed is None else observed[now])
     places, velocities = movement.soles[now], speed(movement.soles)
     return (
         places[standing][..., :2].reshape(-1, 2),
@@ -77,10 +80,10 @@ def _misfit_of_rigid_motion(
     *,
     turning: bool,
 ) -> tuple[float, float]:
-    """Robust misfit per sample (Cauchy's loss) of the rigid plate that most samples move with.
+    """Fit one planar rigid motion to the soles' velocities; return its mean Cauchy loss and rate.
 
-    The second number is its rate about the vertical, radians per second, counterclockwise from
-    above; zero for a plate that may not turn.
+    The rate is the angular velocity about the vertical, rad/s, counterclockwise seen from above;
+    zero unless `turning`. Outlying samples have little weight.
     """
     x, y = (places - places.mean(0)).T
     one, zero = np.ones_like(x), np.zeros_like(x)
@@ -95,7 +98,7 @@ def _misfit_of_rigid_motion(
             (velocities * root).reshape(-1),
             rcond=None,
         )[0]
-        away = np.square((design @ motion - velocities) / _SCALE).sum(-1)
+        away = np.square((design @ motion - velocities) / _LOSS_SCALE_M_S).sum(-1)
         weight = 1 / (1 + away)
     return float(np.log1p(away).mean()), float(motion[2]) if turning else 0.0
 
@@ -108,26 +111,26 @@ def carried_finding(
     *,
     rests: bool = False,
 ) -> Finding | None:
-    """A finding if the only camera of a motion turned although it is declared fixed.
+    """Return a warning if a clip's only camera turned although it is declared fixed, else None.
 
     Args:
-        name: of the camera, for the message.
-        motion: one clip, z up, without a batch axis.
-        body: whose motion it is.
+        name: name of the camera, for the message.
+        motion: fitted motion of one clip, z up, without a batch axis.
+        body: body model of the motion.
         observed: joints that the data shows; None means all.
         rests: whether some part of a foot rests in the image most of the time.
     """
     movement = Movement.of(motion, body)
     feet = None if observed is None else _seen_feet(observed.numpy(), motion.fps)
     places, velocities = standing_soles(movement, feet)
-    if len(places) < 2 * _MIN_MOMENTS:
+    if len(places) < 2 * _MIN_STANDING:
         return None
     still, _ = _misfit_of_rigid_motion(places, velocities, turning=False)
     turning, speed = _misfit_of_rigid_motion(places, velocities, turning=True)
     rate, gain = float(np.degrees(speed)), still - turning
     slowest, fastest = _RATES_DEG_S
-    least = _SURE_SHARE if rests else _LEAST_SHARE
-    if not slowest < abs(rate) < fastest or gain <= max(_LEAST_GAIN, least * max(still, 1e-9)):
+    least = _MIN_GAIN_SHARE_AT_REST if rests else _MIN_GAIN_SHARE
+    if not slowest < abs(rate) < fastest or gain <= max(_MIN_GAIN, least * max(still, 1e-9)):
         return None
     turned = abs(rate) * movement.frames / movement.fps
     return Finding(
@@ -143,8 +146,8 @@ def carried_finding(
 
 
 def _seen_feet(observed: Bool[np.ndarray, "time 22"], fps: float) -> Bool[np.ndarray, "time 2"]:
-    """Whether each foot is seen within a few frames; detectors lose points for single frames."""
+    """Return whether ankle and toe of each foot are both seen within 65 ms of every frame."""
     both = np.stack([observed[:, foot].all(-1) for foot in _FEET], -1)
-    half = max(1, round(_LAG * fps / 2))
+    half = max(1, round(_LAG_S * fps / 2))
     around = np.pad(both, ((half, half), (0, 0)))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, 0).any(-1))

@@ -1,6 +1,6 @@
-"""Uncertainty of a fit: standard deviations, other hypotheses, and joints that were not seen.
+"""Estimates the uncertainty of a fit: standard deviations, other hypotheses, unseen joints.
 
-The standard deviations of every joint come from the curvature of the fit's objective.
+Standard deviations of joints come from the Hessian of the objective at the fitted motion.
 """
 
 import math
@@ -34,11 +34,11 @@ else:  # imported for type checkers only
     from typing import Any as JointCertainty
 
 MOST = 360 / 12**0.5
-"""Degrees: the standard deviation of an angle of which nothing is known."""
+"""Standard deviation (degrees) of an angle that may have any value: uniform over the circle."""
 
 
 def angle_slopes(body: BodyModel) -> Measure | None:
-    """Derivatives of ISB angles by rotation steps, degrees per radian; None for another body."""
+    """Return a function for derivatives of ISB angles by rotations; None for other bodies."""
 
     def slopes(motion: Motion) -> Float[Tensor, "time angles 66"]:
         return torch.from_numpy(isb_slopes(motion, body)).to(motion.translation)
@@ -47,25 +47,25 @@ def angle_slopes(body: BodyModel) -> Measure | None:
     return slopes if body.checksum == BodyModel.load().checksum else None
 
 
-_WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
-"""Independent observations that one in this unit is worth. Priors smooth more than the density
-that stands for them says, so errors are smaller than its curvature promises; chosen on validation
-people so that 90 % of the errors of seen joints lie within 1.645 standard deviations."""
-_CLOUD_WORTH = 0.05
-"""What a patch of a cloud's surface in one frame is worth, chosen likewise: what a body of other
-flesh and clothes misses stays the same over many frames."""
-_STANCE = 0.03
-"""Metres by which standing feet miss the ground, clip by clip."""
+_WEIGHT_OF_UNIT: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
+"""Number of independent observations that one in this unit counts as. Priors smooth more than the
+density that approximates them here, so errors are smaller than the Hessian predicts; chosen so
+that 90 % of the errors of seen validation joints lie within 1.645 standard deviations."""
+_PATCH_WEIGHT = 0.05
+"""The same for a patch of a cloud's surface in one frame, chosen likewise: errors by another body
+shape and clothes stay the same over many frames."""
+_STANCE_STD_M = 0.03
+"""Standard deviation (m) of the mean height of standing feet above the ground, per clip."""
 _LEAN_STD_RAD = 0.04
-"""Radians by which people lean on average over a clip, without what a prior knows of gravity."""
-_UPRIGHT_ALONE = 0.09
-"""Radians likewise where the ground is only put below people, by priors that know no gravity."""
+"""Standard deviation (rad) of the mean lean of a clip's body from the vertical."""
+_LEAN_STD_NO_GRAVITY_RAD = 0.09
+"""The same where the ground was found without a prior that knows the direction of gravity."""
 
 
 def certainty(found: ClipFit) -> Deviations | None:
-    """Standard deviations of a fit's joints; None where its prior gives no density.
+    """Return standard deviations of a fit's joints; None where its prior has no density.
 
-    Clouds are thinned first: neighbouring points err alike.
+    Clouds are thinned first, as neighbouring points have similar errors.
     """
     estimate = found.result.estimate
     least = min(noise.metres for noise in found.noises)
@@ -74,9 +74,9 @@ def certainty(found: ClipFit) -> Deviations | None:
         return None
     seen, noises = [], []
     for one, noise in zip(found.observations, found.noises, strict=True):
-        thin, worth, model = one, _WORTH.get(one.unit, 1.0), estimate.body.model
+        thin, worth, model = one, _WEIGHT_OF_UNIT.get(one.unit, 1.0), estimate.body.model
         if not one.point_names(model):
-            thin, worth = one.coarse(model), _CLOUD_WORTH
+            thin, worth = one.coarse(model), _PATCH_WEIGHT
             noise = thin.noise(estimate.motion, model, noise.metres)
         seen.append(thin)
         noises.append(replace(noise, own=noise.own / worth**0.5))
@@ -98,20 +98,20 @@ def certainty(found: ClipFit) -> Deviations | None:
 
 
 def _ground_uncertainty(found: ClipFit) -> GroundBelief | None:
-    """The assumed uncertainty of the ground; None where there is no ground."""
+    """Return the assumed uncertainty of the ground; None where the fit has no ground."""
     if not found.grounded:
         return None
     if found.ground_known:
-        return GroundBelief(_STANCE, _LEAN_STD_RAD, 0)
+        return GroundBelief(_STANCE_STD_M, _LEAN_STD_RAD, 0)
     level = frame_is_level(found.observations)
     shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
     knows = found.result.reports[-1].stage.prior.knows_gravity
-    upright = _LEAN_STD_RAD if knows else _UPRIGHT_ALONE
-    return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
+    upright = _LEAN_STD_RAD if knows else _LEAN_STD_NO_GRAVITY_RAD
+    return GroundBelief(_STANCE_STD_M, upright, 1 if level else 3, shown)
 
 
 def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
-    """Standard deviations as a report has them: medians of joints and root, shape, ground."""
+    """Return standard deviations for the report: medians of joints and root, shape, ground."""
     every = deviations.joints.median(0).values.tolist()
     ground = deviations.ground
     found = ground and {"normal_degrees": ground.normal_degrees, "height": ground.height}
@@ -125,19 +125,19 @@ def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> d
 
 
 _HEIGHT_STD_RATIO = 0.3
-"""Ratio of the standard deviation of a joint's height to that of its coordinates under a prior
-that knows gravity, which holds standing feet to the ground. Both ratios were chosen by likelihood
-on validation people, over all sensors of `benchmarks.uncertainty`."""
-_FREE = 1.4
-"""The ratio under the other priors, whose hidden feet may end anywhere."""
+"""Standard deviation of a joint's height, relative to that of a coordinate on average, under a
+prior that knows gravity, which holds standing feet to the ground. This ratio and the next were
+chosen by likelihood on validation people, over all sensors of `benchmarks.uncertainty`."""
+_FREE_STD_RATIO = 1.4
+"""The same ratio under the other priors, which leave hidden feet free in height."""
 
 
 def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor, "time 22"]:
-    """Probability that each joint of the fit's only clip touches the ground z = 0.
+    """Return the probability that each joint of the fit's only clip touches the ground z = 0.
 
     Args:
-        fit: of one clip.
-        deviations: how sure its joints are; None takes all as seen.
+        fit: fit of one clip.
+        deviations: standard deviations of its joints; None takes all joints as certain.
     """
     motion, posed = fit.result.clip(0).detach(), fit.result.body
     joints = posed.joints[0, : motion.frames].detach()
@@ -145,31 +145,31 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
     held = not fit.result.reports or fit.result.reports[-1].stage.prior.knows_gravity
-    std = (_HEIGHT_STD_RATIO if held else _FREE) * deviations.joints[: motion.frames]
+    std = (_HEIGHT_STD_RATIO if held else _FREE_STD_RATIO) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))
 
 
 _SAME_MOTION_M = 0.05
-"""Mean distance of joints, metres, below which two hypotheses have come to the same motion."""
-_TURNED = math.radians(45)
-"""Turn about the vertical from which on a hypothesis is one of another heading."""
+"""Mean distance of joints (m) below which two hypotheses have converged to the same motion."""
+_OTHER_HEADING_RAD = math.radians(45)
+"""Difference of headings (rad) from which on a hypothesis is of the kind "heading"."""
 _LEGS, _EXCHANGED = list(LEGS), [MIRROR[k] for k in LEGS]
 
 
 @dataclass(frozen=True)
 class AlternativeMotion:
-    """Another motion that explains the data, and by how much its energy is higher."""
+    """Another motion that explains the data, compared with the chosen one by objective value."""
 
     kind: str
     """What distinguishes it: "heading", "leg order" or "posture"."""
     turn: float
-    """Degrees about the vertical, from 0 to 180, by which it faces elsewhere, on average."""
+    """Mean difference of its heading from that of the chosen motion, 0 to 180 degrees."""
     distance: float
-    """Mean distance of its joints from those of the motion that was chosen, metres."""
+    """Mean distance (m) of its joints from those of the chosen motion."""
     energy: float
-    """Its objective, at the end of the stage that compared it."""
+    """Value of its objective at the end of the stage that compared the motions."""
     chosen_energy: float
-    """The objective of the motion that was chosen, at the end of the same stage."""
+    """Value of the chosen motion's objective at the end of the same stage."""
 
     @property
     def excess(self) -> float:
@@ -179,12 +179,12 @@ class AlternativeMotion:
         return self.energy / self.chosen_energy - 1
 
     def report(self) -> dict[str, Any]:
-        """The record as it stands in a report's list `alternatives`."""
+        """Return the record as it stands in a report's list `alternatives`."""
         excess = self.excess if math.isfinite(self.excess) else None
         return {**asdict(self), "excess": excess, "message": str(self)}
 
     def __str__(self) -> str:
-        """The alternative in words."""
+        """Describe the alternative in words, with its distance and energy."""
         what = {
             "heading": f"facing {self.turn:.0f} degrees elsewhere",
             "leg order": "with left and right leg exchanged",
@@ -197,19 +197,19 @@ class AlternativeMotion:
 
 
 def alternatives(fit: ClipFit) -> tuple[AlternativeMotion, ...]:
-    """Rejected hypotheses of the first clip, the likeliest first.
+    """Return the rejected hypotheses of the first clip, the likeliest first.
 
     They are other first guesses (headings, postures) and other beginnings of a gait cycle, each as
-    the quick fit that compared them had left it. Hypotheses that came to the motion that was
-    chosen, or to that of a likelier one, are left out.
+    fitted at the stage that compared it. Hypotheses that converged to the chosen motion, or to
+    that of a likelier one, are left out.
     """
     body = fit.result.body.model
-    found = [one for compared in fit.compared for one in _runners_up(compared, body)]
+    found = [one for compared in fit.compared for one in _rejected_hypotheses(compared, body)]
     return tuple(sorted(found, key=lambda one: one.excess))
 
 
-def _runners_up(compared: ComparedHypotheses, body: BodyModel) -> list[AlternativeMotion]:
-    """The hypotheses that one comparison rejected."""
+def _rejected_hypotheses(compared: ComparedHypotheses, body: BodyModel) -> list[AlternativeMotion]:
+    """Return the distinct motions that one comparison of hypotheses rejected."""
     own = (compared.clip == 0).nonzero()[:, 0]
     finite = own[compared.value[own].isfinite()]
     kept = finite[compared.kept[finite]]
@@ -232,7 +232,7 @@ def _runners_up(compared: ComparedHypotheses, body: BodyModel) -> list[Alternati
                 for legs in (_EXCHANGED, _LEGS)
             ]
             kind = "leg order" if sides[0] < 0.5 * sides[1] else "posture"
-            kind = "heading" if turn > _TURNED else kind
+            kind = "heading" if turn > _OTHER_HEADING_RAD else kind
             energies = (float(compared.value[k]) for k in (row, best))
             found.append(
                 AlternativeMotion(
@@ -245,12 +245,12 @@ def _runners_up(compared: ComparedHypotheses, body: BodyModel) -> list[Alternati
 def _mean_joint_distance(
     one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]
 ) -> float:
-    """Mean distance of joints, metres."""
+    """Return the mean distance (m) between the joints of two motions."""
     return float((one - other).norm(dim=-1).mean())
 
 
 def _heading_difference(one: Motion, other: Motion) -> float:
-    """Angle about the vertical between the headings of two motions, averaged; 0 to pi."""
+    """Return the mean angle (0 to pi) about the vertical between the headings of two motions."""
     between = so3.heading(one.rotations[:, 0]).mT @ so3.heading(other.rotations[:, 0])
     mean = between[one.valid].mean(0)
     return abs(math.atan2(float(mean[1, 0] - mean[0, 1]), float(mean[0, 0] + mean[1, 1])))
@@ -259,7 +259,7 @@ def _heading_difference(one: Motion, other: Motion) -> float:
 def observed_joints(
     observations: Sequence[Sensor], estimate: Estimate
 ) -> Bool[np.ndarray, "time 22"]:
-    """The joints that some sensor saw, for every frame of the first clip's motion.
+    """Return a mask of the joints that some sensor saw in each frame of the first clip.
 
     A joint is seen where a visible point lies within 20 cm of it at rest and on a bone that ends
     or begins there; or where points of a cloud lie within 15 cm of it.

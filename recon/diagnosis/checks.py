@@ -1,7 +1,7 @@
 """All checks in the order in which they run: of the data before a fit, then of the fit.
 
-A check is a function of the clip that gives the clip, put right where that is sure, and what it
-found. `recon.fit(..., checks=...)` takes any of them, and functions of your own:
+A check is a function that takes a clip and returns it, repaired where a fault is certain, with
+its findings. `recon.fit(..., checks=...)` takes any of them, and functions of your own:
 
     def short(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         said = Finding("gap", "less than a second was seen")
@@ -43,7 +43,7 @@ from recon.method.sensor import Sensor, views_of
 
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
-    """Check images for zeros, repeated frames, outliers, exchanged names and wrong cameras."""
+    """Check 2D keypoints for zeros, repeated frames, outliers, exchanged names, wrong cameras."""
     from recon.diagnosis.keypoints import screen_views  # imported only for clips with images
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
@@ -55,7 +55,7 @@ def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 @before_fit("named")
 def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
-    """Check points for zeros, repeated values, wrong names, outliers, jumps, scale and ground."""
+    """Check 3D points for zeros, repeats, wrong names, outliers, jumps, scale and ground."""
     kept, found, belt, start = list(clip.observations), NOTHING, None, None
     for row, one in enumerate(clip.observations):
         if one.named is None:
@@ -119,19 +119,19 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 
 
 def _rate_is_untestable(clip: ExaminedClip) -> bool:
-    """Whether other faults, or too few moments, make speeds useless for a judgement."""
+    """Whether other faults, or too few frames per second, make speeds unfit for a judgement."""
     few = max(one.fps for one in clip.observations) < FEW_MOMENTS
     return few or any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
-_SUSPECT = 5.0
-"""Multiple of the estimated standard deviation from which on a median residual is suspicious."""
+_MAX_RESIDUAL_STDS = 5.0
+"""Median residual, in estimated standard deviations, from which on it is suspicious."""
 _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
-"""Median residuals below these are not suspicious, whatever the noise."""
+"""Median residual below which nothing is suspicious, whatever the noise, by unit."""
 
 
 def _likely_causes(observations: Sequence[Sensor]) -> str:
-    """Likely causes of a wrong size or place of the body, by the kinds of sensors."""
+    """Describe likely causes of a wrong size or place of the body, by the kinds of sensors."""
     causes = {
         "focal lengths, image sizes, units and the poses of the cameras": any(
             one.view for one in observations
@@ -148,13 +148,13 @@ def _likely_causes(observations: Sequence[Sensor]) -> str:
 
 @after_fit()
 def residuals(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
-    """Warnings about sensors whose residuals are far above their noise."""
+    """Warn of sensors whose residuals are far above their noise."""
     found: list[Finding] = []
     for sensor, one in zip(clip.observations, clip.residuals, strict=True):
         if one.median is None:
             said = Finding("unseen", "nothing was seen at the times of the motion")
             found.append(said.of(one.name))
-        elif one.median > max(_SUSPECT * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
+        elif one.median > max(_MAX_RESIDUAL_STDS * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
             known = [(value, name) for name, value in one.by_point.items() if value is not None]
             points = tuple(name for _, name in sorted(known, reverse=True)[:3])
             where = f", most at {', '.join(points)}" if points else ""
@@ -204,18 +204,19 @@ def size_and_soles(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     return clip, body_findings(clip.fit)
 
 
-_ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
-"""Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
-people differ by, and real markers stand off the skin or away from the landmark that they are named
-after: good recordings reach 14. Wrong units and scales show in the height."""
-_SHORTEST_CHILD = 0.95
-"""Metres; smaller children do not walk on command."""
-_OFF_GROUND = 0.15
-"""Metres between the soles that stand and the ground."""
+_MAX_SHAPE_STDS, _MAX_SHAPE_STDS_MARKERS = 1.5 * ODDEST, 15.0
+"""Standard deviations of a shape coefficient that no person's fit exceeds. Noise and acrobatics
+add to the differences between people, and real markers stand off the skin or away from the
+landmark that they are named after: good recordings reach 14. Wrong units and scales show in the
+height."""
+_MIN_CHILD_HEIGHT_M = 0.95
+"""Height (m); smaller children do not walk on command."""
+_MAX_SOLE_HEIGHT_M = 0.15
+"""Distance (m) of standing soles from a known ground, above which there is a warning."""
 
 
 def body_findings(found: ClipFit) -> Findings:
-    """Warnings of implausible size or of floating, which wrong cameras or units cause.
+    """Return warnings of an implausible size or of floating, which wrong cameras or units cause.
 
     Where no camera and no ground determines the size, the prior does, and nothing is reported.
     Points in metres that a small body fits show a child, which is no fault of the data.
@@ -227,7 +228,7 @@ def body_findings(found: ClipFit) -> Findings:
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = _likely_causes(found.observations)
     said = Findings()
-    if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
+    if not views and _MIN_CHILD_HEIGHT_M < tall <= SHORTEST_BODY:
         text = (
             f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
             "only roughly. If it is an adult, check the unit and the scale of the points"
@@ -239,14 +240,14 @@ def body_findings(found: ClipFit) -> Findings:
             "as an adult body can do)"
         )
         said += Findings(warnings=(Finding("body size", text, value=tall),))
-    if not said.warnings and odd > (_ODDEST_MARKERS if on_skin else _ODDEST):
+    if not said.warnings and odd > (_MAX_SHAPE_STDS_MARKERS if on_skin else _MAX_SHAPE_STDS):
         text = (
             f"the person's shape is {odd:.1f} standard deviations from the average; check {sizes}"
         )
         said += Findings(warnings=(Finding("body size", text, value=odd),))
     if found.ground_known:
         soles = float(sole_heights(found.result.motion, posed.model).median())
-        if abs(soles) > _OFF_GROUND:
+        if abs(soles) > _MAX_SOLE_HEIGHT_M:
             text = (
                 f"the soles stand at {soles:.2f} m, but the ground is at 0; check {sizes}, unless "
                 "the person stands or sits on something"
@@ -282,13 +283,13 @@ def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     return clip, Findings(warnings=() if said is None else (said,))
 
 
-_NEARLY = 0.15
-"""Share of the energy by which another motion may be worse and still be nearly as likely. On
-five validation windows of depth alone, where all headings were chosen well, the next was worse by
-29 % at least."""
-_ANOTHER = 0.15
-"""Metres, mean of joints, from which on another posture is another motion: quick fits that compare
-first guesses leave smaller differences to the fit that follows."""
+_CLOSE_ENERGY = 0.15
+"""Share of the energy by which another motion may be worse and still be nearly as likely. On five
+validation windows of depth alone, where all headings were chosen well, the next was worse by 29 %
+at least."""
+_OTHER_M = 0.15
+"""Mean distance of joints (m) from which on another posture is reported: quick fits that compare
+first guesses leave smaller differences, which the final fit removes."""
 
 
 @after_fit()
@@ -297,7 +298,7 @@ def other_motions(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     close = [
         one
         for one in clip.alternatives
-        if one.excess < _NEARLY and (one.kind != "posture" or one.distance > _ANOTHER)
+        if one.excess < _CLOSE_ENERGY and (one.kind != "posture" or one.distance > _OTHER_M)
     ]
     if not close:
         return clip, NOTHING
@@ -340,13 +341,12 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     return clip, Findings(warnings=rare, diagnosis=found)
 
 
-_GUESSED = 0.1
-"""Standard deviation of a coordinate, metres, from which on a joint is merely guessed: as far as
-its neighbours along a limb are apart."""
-_PART = 0.25
-"""Share of the joints of a frame that are a large part of the body."""
-_SHORTEST = 0.2
-"""Seconds that are worth a word."""
+_GUESSED_STD_M = 0.1
+"""Standard deviation of a coordinate (m) from which on a joint is merely guessed."""
+_LARGE_PART = 0.25
+"""Share of the joints that counts as a large part of the body."""
+_MIN_GUESSED_S = 0.2
+"""Total time (s) of guessed frames that is reported."""
 
 
 @after_fit()
@@ -358,9 +358,9 @@ def guessed(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     if clip.deviations is None:
         return clip, NOTHING
     std = clip.deviations.joints.numpy()
-    loose = (std > _GUESSED) & ~clip.observed
-    flags = loose.mean(1) >= _PART
-    if flags.sum() < _SHORTEST * clip.motion.fps:
+    loose = (std > _GUESSED_STD_M) & ~clip.observed
+    flags = loose.mean(1) >= _LARGE_PART
+    if flags.sum() < _MIN_GUESSED_S * clip.motion.fps:
         return clip, NOTHING
     names, frames = chosen(JOINTS, loose[flags].mean(0) > 0.5), stretches(flags)
     typical = float(np.median(std[flags][loose[flags]]))
@@ -381,7 +381,7 @@ def support(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 
 
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)
-"""Checks of the data; what they repair is fitted as repaired."""
+"""Checks of the data before the fit; data that they repair are fitted as repaired."""
 AFTER: tuple[AfterFit, ...] = (
     focal_length,
     camera_moves,
@@ -396,4 +396,4 @@ AFTER: tuple[AfterFit, ...] = (
     guessed,
     support,
 )
-"""Checks of the fit."""
+"""Checks of the fitted motion."""

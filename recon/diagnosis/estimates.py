@@ -1,4 +1,4 @@
-"""A network's motion as a measurement: which parts are trusted, and with what noise."""
+"""Turns a network's estimate of a motion into measured points with noise, for a fit."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, Findings, stretches
 from recon.solver.viterbi import cheapest_path
 
-_SWITCH = 0.18
-"""Root mean square angle over the joints of both limbs, radians, whose square a change of sides
-costs. It and the next number are chosen on validation windows: of frames whose legs are exchanged
-by more than 0.3 radians nine in ten are found, and no motion is blamed that is as it should be."""
-_STAY = 0.005
-"""Cost of an exchanged frame, radians², so that the sides held most of the time are right."""
+_SWITCH_RAD = 0.18
+"""Angle (rad, root mean square over the joints of both limbs) whose square is the cost of a change
+of sides. It and the next number were chosen on validation windows: of frames whose legs are
+exchanged by more than 0.3 rad nine in ten are found, and no correct motion is changed."""
+_EXCHANGED_COST = 0.005
+"""Cost (rad²) of an exchanged frame, by which the sides of most frames are taken as right."""
 
 _FLIP = torch.tensor([-1.0, 1.0, 1.0])
 
@@ -29,10 +29,10 @@ _FLIP = torch.tensor([-1.0, 1.0, 1.0])
 def exchanged_frames(
     rotations: Float[Tensor, "time joints 3 3"], mirrored: Float[Tensor, "time joints 3 3"]
 ) -> Bool[Tensor, " time"]:
-    """Frames in which left and right limbs seem exchanged: exchanging them makes motion smoother.
+    """Return a mask of frames where exchanging left and right limbs makes the motion smoother.
 
-    The sides of every frame are chosen together so that Σ ½ |angle|² from frame to frame is
-    least, plus what changes of sides and exchanged frames cost (Viterbi's algorithm).
+    The sides of all frames are chosen together so that Σ ½ |angle|² from frame to frame, plus the
+    costs of changes of sides and of exchanged frames, is least (Viterbi's algorithm).
 
     Args:
         rotations: local rotations of both limbs' joints.
@@ -42,43 +42,42 @@ def exchanged_frames(
     # axes: time, hypothesis of the frame, hypothesis of the frame before, joints, 3, 3
     step = both[1:, :, None] - both[:-1, None, :]
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
-    switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
-    here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
+    switch = _SWITCH_RAD**2 * (1 - torch.eye(2, dtype=torch.float64))
+    here = both.new_tensor([0.0, _EXCHANGED_COST]).expand(len(both), 2)
     return cheapest_path(here[None], (squared + switch).mT)[0].bool()
 
 
 def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "time joints 3 3"]:
-    """Local rotations of both limbs' joints with left and right exchanged."""
+    """Return local rotations of both limbs' joints with left and right exchanged."""
     flip = _FLIP.to(motion.rotations)
     other = [MIRROR[joint] for joint in joints]
     return flip[:, None] * motion.rotations[:, other] * flip
 
 
 FASTEST = 60.0
-"""Hz; estimates at higher rates are thinned to it."""
+"""Frame rate (Hz) to which estimates with higher rates are thinned."""
 OWN = ErrorCovariance(jitter=0.015, slow=0.06, seconds=1.0)
-"""Error of a point relative to the path of the body, as networks on video make it. The numbers are
-chosen on windows of validation people and on martial arts, runs and climbs of training people
-(benchmarks/refine.py): numbers that suit walks alone let a prior that never saw a handspring
-overrule it. Estimates with smaller errors get a share of it; the jitter is the least assumed."""
+"""Error covariance of a point relative to the mean of all points, as of networks on video. Chosen
+on windows of validation people and on martial arts, runs and climbs of training people
+(benchmarks/refine.py): values that suit walks alone let a prior that never saw a handspring
+overrule it. Better estimates get a share of these errors; the jitter is a lower bound."""
 PATH = ErrorCovariance(jitter=0.003, slow=0.06, seconds=2.0)
-"""Error of the path."""
-_ALIKE = 2.0
-"""Points of one limb err together, so that the jitter estimated from one point is
-multiplied."""
-_LIMITS = (0.004, 0.05)
-"""Least and largest jitter that is estimated, metres."""
-_JUMP, _TIMES = 0.01, 4.0
-"""A point jumps where its step differs from those before and after by more than so many metres
-and so many times as much as usual."""
-_STAND_S, _STANDS = 0.25, 0.2
-"""Seconds over which feet are averaged, and share of the frames in which at least one foot stands
-even in runs and jumps."""
-_JITTER, _SLIDE = (0.0007, 0.0022), (0.05, 0.11)
-"""Jitter of points in metres, and speed of standing feet in m/s: of motion capture, whose errors
-count as none, and of networks on video. Chosen on windows of training people."""
-_LEAST = 0.05
-"""Least share of the usual errors that is assumed."""
+"""Error covariance of the path, which is the mean position of all points over time."""
+_JITTER_FACTOR = 2.0
+"""Factor on the jitter that is estimated per point, as points of one limb err together."""
+_JITTER_LIMITS_M = (0.004, 0.05)
+"""Least and largest jitter (m) that is estimated."""
+_JUMP_M, _JUMP_RATIO = 0.01, 4.0
+"""A point jumps where its step differs from the mean of the steps before and after by more than
+this distance (m) plus this multiple of the usual difference."""
+_STAND_S, _STANDING_SHARE = 0.25, 0.2
+"""Time (s) over which positions of feet are averaged, and share of the frames in which at least
+one foot stands even in runs and jumps."""
+_JITTER_M, _SLIDE_M_S = (0.0007, 0.0022), (0.05, 0.11)
+"""Jitter of points (m) and speed of standing feet (m/s): first of motion capture, whose errors
+count as none, then of networks on video. Chosen on windows of training people."""
+_MIN_ERROR_SHARE = 0.05
+"""Least share of the errors `OWN` and `PATH` that is assumed."""
 _LIMBS = {
     "legs": ("hip", "knee", "ankle", "foot"),
     "arms": ("collar", "shoulder", "elbow", "wrist"),
@@ -88,16 +87,16 @@ _LIMBS = {
 def as_measurement(
     motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
 ) -> tuple[EstimatedPoints, Motion, Findings]:
-    """A network's motion as observed points: their noise, how long errors last, where they jump.
+    """Convert a network's motion to observed points with noise and jumps, to be fitted.
 
     Args:
-        motion: the estimate in a world with z up, of a shape of this body; no leading axis.
+        motion: estimated motion, z up, of a shape of this body; without a batch axis.
         known: frames that were estimated.
-        body: whose motion it is.
+        body: body model of the motion.
 
     Returns:
         Points of the skin with their covariance, with a leading axis of one clip; the estimate
-        with its exchanges of limbs undone; and what was repaired, or is to be warned of.
+        with exchanged limbs put right; and repairs and warnings.
     """
     step = max(round(motion.fps / FASTEST), 1)
     if step > 1:
@@ -113,9 +112,9 @@ def as_measurement(
     visible = known[:, None].expand(points.shape[:-1])
     path = points.mean(-2, keepdim=True)
     share = _relative_error(motion, known, body, points - path)
-    limits = (share * _LIMITS[0], _LIMITS[1])
-    jitter = _ALIKE * estimate_noise(points - path, visible, limits)
-    along = _ALIKE * estimate_noise(path, visible[:, :1], limits)
+    limits = (share * _JITTER_LIMITS_M[0], _JITTER_LIMITS_M[1])
+    jitter = _JITTER_FACTOR * estimate_noise(points - path, visible, limits)
+    along = _JITTER_FACTOR * estimate_noise(path, visible[:, :1], limits)
     seen = EstimatedPoints(
         positions=points.where(visible[..., None], 0.0)[None],
         visible=visible[None].clone(),
@@ -138,10 +137,10 @@ def _relative_error(
     body: BodyModel,
     points: Float[Tensor, "time points 3"],
 ) -> float:
-    """Errors of a motion relative to those that networks usually make on video, at most 1.
+    """Return the errors of a motion relative to those of networks on video, from 0.05 to 1.
 
-    Two things tell that an estimate is noisy: points jitter about the path, and no foot ever
-    stands. Where too few frames are known to see it, the share is 1.
+    Two signs show that an estimate is noisy: points jitter about the path, and no foot ever
+    stands. Where too few frames are known to tell, the result is 1.
     """
     frames = max(round(_STAND_S * motion.fps), 1)
     feet = body.pose(motion).joints.detach()[:, list(FEET)]
@@ -151,14 +150,14 @@ def _relative_error(
     slides = slides[known.unfold(0, frames + 1, 1).all(-1)]
     if len(slides) < frames:
         return 1.0
-    still = float(slides.amin(-1).quantile(_STANDS))
+    still = float(slides.amin(-1).quantile(_STANDING_SHARE))
     jitter = estimate_noise(points, known[:, None].expand(points.shape[:-1]), (0.0, 1.0))
-    shares = [(x - a) / (b - a) for x, (a, b) in ((jitter, _JITTER), (still, _SLIDE))]
-    return min(max(*shares, _LEAST), 1.0)
+    shares = [(x - a) / (b - a) for x, (a, b) in ((jitter, _JITTER_M), (still, _SLIDE_M_S))]
+    return min(max(*shares, _MIN_ERROR_SHARE), 1.0)
 
 
 def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """The motion with left and right limbs exchanged back, and the repairs."""
+    """Return the motion with exchanged left and right limbs put right, and the repairs."""
     rotations, repairs = motion.rotations.clone(), list[Finding]()
     for limb, parts in _LIMBS.items():
         joints = tuple(
@@ -185,7 +184,7 @@ def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
 def _segments_between_jumps(
     points: Float[Tensor, "time points 3"],
 ) -> Float[Tensor, "time points"]:
-    """For every point and frame, the index of the segment between two jumps that contains it."""
+    """Return, per point and frame, the index of the segment between two jumps."""
     none = points.new_zeros(points.shape[:-1])
     if len(points) < 4:
         return none
@@ -193,6 +192,6 @@ def _segments_between_jumps(
     usual = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
     away = (steps - usual).norm(dim=-1)
     around = torch.nn.functional.max_pool1d(away.mT[None], 3, 1, 1)[0].mT
-    jumps = (away > _JUMP + _TIMES * away.median(0).values) & (away >= around)
+    jumps = (away > _JUMP_M + _JUMP_RATIO * away.median(0).values) & (away >= around)
     none[1:] = jumps.to(points).cumsum(0)
     return none

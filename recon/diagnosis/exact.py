@@ -1,7 +1,7 @@
-"""Facts about points in space that need no model: zeros, repeated values, the ground, the size.
+"""Checks 3D points for faults that need no fit: zeros, repeated values, ground height, size.
 
-Sensors have noise, so nothing that is measured repeats exactly; software that fills what it has
-lost writes zeros, the last value, or the last frame again.
+Sensors have noise, so no measured value repeats exactly; software that fills gaps writes zeros,
+the last value, or the last frame again.
 """
 
 import numpy as np
@@ -16,27 +16,27 @@ from recon.diagnosis.findings import NOTHING, Finding, Findings, chosen, listed,
 from recon.diagnosis.named_points import NamedPoints, relative_body_size
 from recon.diagnosis.tracks import temporal_noise
 
-_REPEATS = 3
-"""Moments in a row at which a point must not move before it counts as held; two equal values
-may be rounding in a file with few digits."""
-_MOVES = 1e-4
-"""Metres per moment that other points must move meanwhile: a recording of a statue repeats."""
-_TRAVELLED = 2e-3
-"""Metres that the other points' paths must be long meanwhile: somebody who stands still sways by
-less than the last digit of some files, and a value that is held then is no harm."""
-_NOISELESS = 3e-4
-"""Metres of noise below which positions are computed rather than measured; animated feet then
-stand exactly still, and that is no fault."""
+_MIN_EQUAL_FRAMES = 3
+"""Number of consecutive frames with one position from which on a point counts as held; two equal
+values may be rounding in a file with few digits."""
+_MIN_STEP_M = 1e-4
+"""Step (m) of some point to the next frame above which the body moves; a statue repeats, too."""
+_MIN_PATH_M = 2e-3
+"""Median length (m) of the points' paths meanwhile, above which holding a point is an error:
+people who stand still sway by less than the last digit of some files."""
+_MAX_COMPUTED_NOISE_M = 3e-4
+"""Noise (m) below which positions are computed rather than measured; animated feet stand exactly
+still, which is no fault."""
 _MAX_ORIGIN_DISTANCE_M = 1.0
-"""Metres: in a root-relative recording the body lies about the origin, and a point that is always
-exactly there is the root."""
+"""Distance (m) of a body from the origin within which a recording may be root-relative; then the
+one point that is always exactly at the origin is the root."""
 
 
 def unchanged(
     places: Float[np.ndarray, "*views moments points dims"],
     seen: Bool[np.ndarray, "*views moments points"],
 ) -> Bool[np.ndarray, "*views moments points"]:
-    """Mask of points that are seen at exactly the same place as at the moment before."""
+    """Return a mask of points seen at exactly the same place as in the previous frame."""
     same = np.zeros_like(seen)
     same[..., 1:, :] = seen[..., 1:, :] & seen[..., :-1, :]
     same[..., 1:, :] &= (places[..., 1:, :, :] == places[..., :-1, :, :]).all(-1)
@@ -90,16 +90,16 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     same, step = unchanged(points.positions, visible), np.zeros(visible.shape)
     step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1)
     step[1:] *= visible[1:] & visible[:-1]
-    moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
-    computed = temporal_noise(points) < _NOISELESS
+    moved, hidden = step.max(1) > _MIN_STEP_M, np.zeros_like(same)
+    computed = temporal_noise(points) < _MAX_COMPUTED_NOISE_M
     for point, bone in enumerate(points.bones):
         # the root of root-relative points is always zero, which is no fault
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
-        for first, last in stretches(same[:, point], _REPEATS - 1):
+        for first, last in stretches(same[:, point], _MIN_EQUAL_FRAMES - 1):
             held = slice(first, last + 1)
             travelled = np.median(step[held].sum(0)[visible[held].any(0)])
-            hidden[held, point] = moved[held].mean() > 0.5 and travelled > _TRAVELLED
+            hidden[held, point] = moved[held].mean() > 0.5 and travelled > _MIN_PATH_M
     if not hidden.any():
         return points, NOTHING
     joints, frames = (
@@ -117,50 +117,50 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     return points.without(hidden), Findings((said,))
 
 
-_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
-"""Metres by which standing soles may lie below and above the ground of a recording that knows it.
-The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
-lift markers once more."""
-_FLOOR_NOISE = 1.0
-"""Multiple of a coordinate's standard deviation that soles may lie off the ground in addition."""
+_SOLE_RANGE_JOINTS_M, _SOLE_RANGE_MARKERS_M = (-0.065, 0.036), (-0.055, 0.07)
+"""Lowest and highest plausible height (m) of standing soles where the ground is z = 0. The body's
+soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes lift markers
+once more."""
+_SOLE_RANGE_STDS = 1.0
+"""Standard deviations of a coordinate by which the range of heights is at least wide."""
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.72, 1.25
-"""Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
-_LOWEST_QUANTILE, _SOLE_TO_POINT = 0.05, 0.2
-"""Quantile of the heights of a foot's points that stands for the lowest, and metres within which
-the soles of a fit must be of it: ankles are a tenth of a metre up."""
-_STANDING = 0.2
-"""Seconds during which a foot that is seen must stand."""
-_FEWEST_FEET = 0.3
-"""Share of moments at which a foot must be seen for its height to count."""
+"""Plausible sizes relative to the average body of 1.70 m: older children and adults."""
+_LOWEST_QUANTILE, _MAX_SOLE_TO_POINT_M = 0.05, 0.2
+"""Quantile of the heights of the points of feet that is their lowest height, and its largest
+distance (m) from the soles of a fit: ankles are 0.1 m up."""
+_MIN_STANCE_S = 0.2
+"""Total time (s) for which a seen foot must stand."""
+_MIN_FEET_SHARE = 0.3
+"""Share of the frames in which a foot must be seen for its height to count."""
 
 
 def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
-    """Height of the ground under a quick fit, metres; zero if it agrees with z = 0 or is unknown.
+    """Return the ground's height (m) under a quick fit; zero if z = 0 is plausible or unknown.
 
-    It is unknown where feet hid, and where none that is seen ever stands: the hidden feet of a
-    handstand say nothing about the floor. Nor does a quick fit whose soles are far from the points
-    of the feet themselves.
+    It is unknown where feet are hidden or none that is seen ever stands: hidden feet, as in a
+    handstand, say nothing about the floor. Nor does a quick fit whose soles are far from the
+    points of the feet.
     """
     feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
     shown = points.visible[:, feet]
-    if not feet or shown.any(1).mean() < _FEWEST_FEET:
+    if not feet or shown.any(1).mean() < _MIN_FEET_SHARE:
         return 0.0
     moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
     seen = torch.from_numpy(np.any(shown, axis=1)[moments.clip(max=len(shown) - 1)])
     clip = motion[0].detach()
     stance = Stance.of(clip, body, Soles.of(body), frames=seen)
-    if stance.frames < _STANDING * motion.fps:
+    if stance.frames < _MIN_STANCE_S * motion.fps:
         return 0.0
     height = stance.height()
     lowest = np.quantile(points.positions[:, feet, 2][shown], _LOWEST_QUANTILE)
-    low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
-    noise *= _FLOOR_NOISE
+    low, high = _SOLE_RANGE_JOINTS_M if points.are_joints else _SOLE_RANGE_MARKERS_M
+    noise *= _SOLE_RANGE_STDS
     usual = min(low, -noise) <= height <= max(high, noise)
-    return 0.0 if usual or abs(height - lowest) > _SOLE_TO_POINT else height
+    return 0.0 if usual or abs(height - lowest) > _MAX_SOLE_TO_POINT_M else height
 
 
 def floor_finding(height: float) -> Finding:
-    """The finding that the ground was moved to another height."""
+    """Return the finding that the ground was moved to another height."""
     return Finding(
         "floor",
         f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
@@ -171,7 +171,7 @@ def floor_finding(height: float) -> Finding:
 
 
 def scale_findings(points: NamedPoints) -> tuple[Finding, ...]:
-    """A warning when everything is larger or smaller than people by one factor."""
+    """Return a warning when the whole body is larger or smaller than people are."""
     ratio = relative_body_size(points)
     if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
         return ()

@@ -1,4 +1,4 @@
-"""The record that checks work on: a clip before its fit, and after it with results."""
+"""The records that checks work on: one clip before its fit, and with the results after it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -38,23 +38,23 @@ class ResidualSummary:
     name: str
     unit: Unit
     noise: float
-    """Standard deviation of a coordinate that the fit assumed."""
+    """Standard deviation of the noise of a coordinate that the fit assumed."""
     median: float | None
     """Median length of all residuals; None where nothing was seen at the motion's times."""
     quantiles: tuple[float, ...] | None
-    """The 50th, 90th and 99th percentile."""
+    """The 50th, 90th and 99th percentile of the lengths of residuals."""
     by_point: dict[str, float | None]
-    """Median of every named point; empty for clouds, whose points have no names."""
+    """Median length per named point; empty for clouds, whose points have no names."""
     by_frame: tuple[float | None, ...]
-    """Median of every moment of the observation."""
+    """Median length per frame of the observation."""
 
     def report(self) -> dict[str, Any]:
-        """The record as it stands in a report's list `residuals`."""
+        """Return the record as it stands in a report's list `residuals`."""
         return asdict(self)
 
 
 def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> ResidualSummary:
-    """Summary of the residuals of the first clip, for its report."""
+    """Summarise one sensor's residuals of the first clip for the report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
     seen_here = residuals.seen[0].numpy()
@@ -73,7 +73,7 @@ def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> Resi
 
 
 def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
-    """Median of the finite values of every row."""
+    """Return the median of the finite values of every row; None for rows without."""
     known = [row[np.isfinite(row)] for row in rows]
     return [float(np.median(row)) if len(row) > 0 else None for row in known]
 
@@ -83,18 +83,18 @@ class CheckedClip:
     """The observations of one clip, and the findings of the checks so far."""
 
     observations: tuple[Sensor, ...]
-    """As they should be fitted, then as they were; a batch axis of length one."""
+    """Data of each sensor, batch axis of length one: as repaired so far; later, as fitted."""
     names: tuple[str, ...]
     """Names of the sensors, for messages."""
     options: FitOptions
     body: BodyModel
     found: Findings = NOTHING
     belt: Float[Tensor, " 2"] | None = None
-    """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
-    it. None where feet stand in the room."""
+    """Velocity (m/s) of a treadmill's belt in the recording, with which the frame of the fit
+    moves; None where feet stand in the room."""
     start: Motion | None = None
-    """A motion (1, time) in the recording that a check of the data found, from which the fit
-    begins; None where none did."""
+    """A motion (1, time) in the recording's frame with which the fit begins, found by a check of
+    the data; None where none was found."""
 
     @property
     def repairs(self) -> tuple[Finding, ...]:
@@ -108,13 +108,13 @@ class CheckedClip:
 
     @property
     def diagnosis(self) -> tuple[Finding, ...]:
-        """Findings that are no fault: inferred limbs, steps, seats."""
+        """Findings that are no fault, such as inferred limbs, steps or seats."""
         return tuple(self.found.diagnosis)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExaminedClip(CheckedClip):
-    """A clip with its fit, uncertainty and findings."""
+    """One clip with its fit, residuals, uncertainty and findings."""
 
     fit: ClipFit
     estimate: Estimate
@@ -132,7 +132,7 @@ class ExaminedClip(CheckedClip):
 
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "ExaminedClip":
-        """A clip after its fit, without further checks."""
+        """Return a clip with the results of its fit, before the checks of these."""
         here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(
@@ -148,15 +148,15 @@ class ExaminedClip(CheckedClip):
 
     @property
     def seen(self) -> Bool[Tensor, "time 22"]:
-        """Joints that were observed, in the frames that the fitted motion has."""
+        """Mask of the joints that were observed, for the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
     def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
-        """Per-frame results (observed joints, contacts, deviations) at another frame rate.
+        """Return per-frame results (observed joints, contacts, deviations) at a motion's frames.
 
-        By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
-        coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that
-        was found (normal, radians; height, metres); `contact_probability`. None where unknown.
+        The keys are those of `MotionFile`: `observed`; the standard deviations `joint_std` (m),
+        `angle_std` of ISB angles (degrees) and `ground_std` of a ground that was found (normal in
+        radians, height in metres); and `contact_probability`. Values are None where unknown.
         """
         fitted, known = self.fit.result.motion, self.deviations
         times = motion.start_time + np.arange(motion.frames) / motion.fps
@@ -190,9 +190,9 @@ Clip = TypeVar("Clip", bound=CheckedClip)
 
 
 def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
-    """Run the checks one after the other; the returned clip has all their findings.
+    """Run the checks one after the other; return the clip with all their findings.
 
-    A check with `sees` is skipped for clips without such sensors.
+    A check that was declared for kinds of sensors is skipped for clips without these.
     """
     kinds = ("named", "view", "cloud")
     there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
@@ -203,17 +203,17 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
 
 
 def before_fit(*sensor_kinds: str) -> Callable[[BeforeFit], BeforeFit]:
-    """Decorator of a check of the data before the fit; it may repair them.
+    """Decorate a function as a check of the data before the fit, which may repair them.
 
     Args:
-        sensor_kinds: kinds of sensors that it needs, `named`, `view` or `cloud`; clips without
-            them skip the check. Without any, it runs for every clip.
+        sensor_kinds: kinds of sensors that the check needs, `named`, `view` or `cloud`; it is
+            skipped for clips without any of them. With no kinds, it runs for every clip.
     """
     return partial(_with_attributes, sees=sensor_kinds, comes_before_fit=True)
 
 
 def after_fit(*sensor_kinds: str) -> Callable[[AfterFit], AfterFit]:
-    """Decorator of a check of the fit; `sensor_kinds` as of `before_fit`."""
+    """Decorate a function as a check of the fit; `sensor_kinds` is as for `before_fit`."""
     return partial(_with_attributes, sees=sensor_kinds, comes_before_fit=False)
 
 

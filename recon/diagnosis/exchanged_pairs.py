@@ -1,8 +1,8 @@
-"""Repairs exchanged names of two keypoints of one view: neighbours along a limb, left and right.
+"""Repairs exchanged names of two keypoints of one view: left and right, or limb neighbours.
 
 Two keypoints jump onto each other's path where a stretch with exchanged names begins or ends; the
-bones of the limb show which part is wrong: exchanged ends make one of them longer than it is. In
-one view a fit must confirm the exchange.
+bones of the limb show which part is wrong, as exchanged ends make one of them too long. In a
+single view a fit must confirm the exchange.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from recon.diagnosis.images import (
     neighbours_on_limbs,
 )
 
-_OFF = 0.08
-"""Metres by which both keypoints leave their own paths when their names are exchanged."""
-_ON = 0.5
-"""Share of that by which they may then miss the other's path."""
-_USUAL = 5.0
-"""Multiple of the usual distance from their paths by which both keypoints must leave them."""
-_FEW = 0.35
-"""Share of the keypoints that may leave their paths at that moment; more is the whole body."""
-_STRETCHED = 0.03
-"""Metres by which bones of a limb are on average too long when two of its ends are exchanged
-throughout; in good windows of validation people exchanging never saves that."""
-_EXCURSION = 3
-"""Frames for which a point may leave its path and come back."""
+_MIN_JUMP_M = 0.08
+"""Distance (m) by which both keypoints leave their own paths when their names are exchanged."""
+_MAX_MISS_SHARE = 0.5
+"""Share of that distance by which they may then miss the other keypoint's path."""
+_MIN_JUMP_RATIO = 5.0
+"""The same distance as a multiple of the usual distance from predicted positions."""
+_MAX_JUMPING_SHARE = 0.35
+"""Share of the keypoints that may jump in such a frame; if more do, the whole body jumps."""
+_MIN_LENGTH_SAVED_M = 0.03
+"""Metres by which the bones of a limb are on average too long when two of its ends are exchanged
+throughout; in good windows of validation people exchanging never saves as much."""
+_MAX_EXCURSION = 3
+"""Largest number of frames for which a point may leave its path and come back."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,14 @@ class ExchangedPair:
     first: int
     last: int
     distance: float
-    """Metres by which both jumped, bones were too long or rays missed each other."""
+    """Distance (m) that both jumped, bones were too long by, or rays missed each other by."""
 
 
 def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """Exchange names of pairs back where single views show an exchange; also the findings.
+    """Undo exchanges of two keypoints' names that single views show; also return findings.
 
-    Where one view is all there is, a fit must confirm what jumps tell; what it does not confirm
-    is a warning.
+    If there is only one view, a fit must confirm exchanges that jumps suggest; unconfirmed ones
+    become warnings.
     """
     jumping, doubted = exchanged_for_a_while(images), list[ExchangedPair]()
     if len(images.names) == 1 and jumping:
@@ -66,7 +66,7 @@ def repaired_pairs(images: Images) -> tuple[Images, Findings]:
 def _confirmed_pairs(
     images: Images, found: list[ExchangedPair]
 ) -> tuple[list[ExchangedPair], list[ExchangedPair]]:
-    """The pairs of one view whose changes of names make a fit worse, and the others."""
+    """Return the exchanges in one view whose undoing improves a fit, and the other ones."""
     sure, doubted = list[ExchangedPair](), list[ExchangedPair]()
     for (first, last), own in _pairs_by_stretch(found).items():
         after = exchanged_back(images, own)
@@ -80,7 +80,7 @@ def _confirmed_pairs(
 def _pairs_by_stretch(
     found: Sequence[ExchangedPair],
 ) -> dict[tuple[int, int], list[ExchangedPair]]:
-    """Exchanged pairs of one view by their first and last frame."""
+    """Group exchanged pairs of one view by their first and last frame."""
     own: dict[tuple[int, int], list[ExchangedPair]] = {}
     for one in found:
         own.setdefault((one.first, one.last), []).append(one)
@@ -90,7 +90,7 @@ def _pairs_by_stretch(
 def repaired_by(
     images: Images, found: Sequence[ExchangedPair], why: str
 ) -> tuple[Images, Findings]:
-    """The images with names of pairs exchanged back, and findings that say why."""
+    """Return images with exchanged pairs put right, and findings with the given reason."""
     return exchanged_back(images, found), Findings(_pair_findings(images, found, why))
 
 
@@ -105,7 +105,7 @@ def _pair_findings(
 
 
 def exchanged_back(images: Images, found: Sequence[ExchangedPair]) -> Images:
-    """The images in which the two keypoints of every pair have each other's place."""
+    """Return images in which the two keypoints of every given pair have swapped positions."""
     pixels, confidence = images.pixels.copy(), images.confidence.copy()
     for one in found:
         when, both = slice(one.first, one.last + 1), [*one.points]
@@ -144,10 +144,10 @@ def _pair_finding(
 
 
 def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
-    """The stretches in which two keypoints of one view exchange their names.
+    """Find stretches in which two keypoints of one view have each other's names.
 
-    A jump of both along each other's path begins a stretch, the next one ends it. The moments
-    that stretch bones are the wrong ones, else the fewer.
+    A jump of both onto each other's path begins a stretch, the next one ends it. The frames with
+    too long bones are the wrong ones, or else the smaller number of frames.
     """
     found: list[ExchangedPair] = []
     steady = without_excursions(images)
@@ -166,9 +166,9 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
 
 
 def exchanged_throughout(images: Images) -> list[ExchangedPair]:
-    """Keypoints at both ends of a bone that were exchanged with each other in all frames.
+    """Find neighbouring keypoints of a limb whose names are exchanged in all frames.
 
-    Exchanged back, they make the bones beside them plausibly short.
+    Exchanging them makes the limb's bones plausibly short.
     """
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
@@ -176,13 +176,13 @@ def exchanged_throughout(images: Images) -> list[ExchangedPair]:
         for pair in neighbours_on_limbs(images):
             saved = length_saved(images, v, pair)
             known = saved[np.isfinite(saved)]
-            if known.size and (mean := float(known.mean())) > _STRETCHED:
+            if known.size and (mean := float(known.mean())) > _MIN_LENGTH_SAVED_M:
                 found.append(ExchangedPair(v, pair, 0, last, mean))
     return found
 
 
 def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], dict[int, float]]:
-    """Frames at which pairs of keypoints jump onto each other's path, and how far in metres.
+    """Find frames where two keypoints jump onto each other's path, with the distances (m).
 
     Outliers, which do not stay where they jump to, are left out.
     """
@@ -191,33 +191,33 @@ def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], d
     known &= images.seen[view]
     own = np.where(known, np.linalg.norm(now - before, axis=-1) / scale, 0.0)
     usual = float(np.median(own[known])) if known.any() else 0.0
-    off = known & (own > max(_OFF, _USUAL * usual))
-    few = off.sum(-1) <= np.maximum(2, _FEW * known.sum(-1))
+    off = known & (own > max(_MIN_JUMP_M, _MIN_JUMP_RATIO * usual))
+    few = off.sum(-1) <= np.maximum(2, _MAX_JUMPING_SHARE * known.sum(-1))
     found: dict[tuple[int, int], dict[int, float]] = {}
     for t in np.flatnonzero((off.sum(-1) >= 2) & few).tolist():
         rows = np.flatnonzero(off[t])
         ways = np.linalg.norm(now[t, rows][:, None] - before[t, rows], axis=-1)
         ratio = ways / scale[t] / own[t, rows][:, None]
-        for pair in np.argwhere(np.triu(np.maximum(ratio, ratio.T) < _ON, 1)):
+        for pair in np.argwhere(np.triu(np.maximum(ratio, ratio.T) < _MAX_MISS_SHARE, 1)):
             both = rows[pair]
             away = float(own[t, both].min())
             if t + 1 < len(now):
                 leave = np.linalg.norm(now[t + 1, both] - now[t, both], axis=-1) / scale[t]
-                if (images.seen[view, t + 1, both] & (leave > _ON * away)).any():
+                if (images.seen[view, t + 1, both] & (leave > _MAX_MISS_SHARE * away)).any():
                     continue
             found.setdefault((int(both[0]), int(both[1])), {})[t] = away
     return found
 
 
 def without_excursions(images: Images) -> Images:
-    """The images with straight paths where a point leaves its own for up to three frames.
+    """Return the images with short excursions of keypoints replaced by straight paths.
 
-    Detectors that fail for a moment put points between left and right; from there, a velocity
-    leads them to the other side, and the true place looks like the counterpart's. A point that
-    lies where its counterpart was stays: that is an exchange.
+    Detectors that fail for up to three frames put a point between left and right; extrapolated
+    from there, its path would lead to the counterpart's, and its true place would look exchanged.
+    Points that lie where their counterpart was stay as they are: that is an exchange.
     """
     place, seen = images.pixels.copy(), images.seen
-    for length in range(1, _EXCURSION + 1):
+    for length in range(1, _MAX_EXCURSION + 1):
         step = length + 1
         before, after = images.pixels[:, :-step], images.pixels[:, step:]
         scale = images.scale[:, :-step, None]
@@ -227,8 +227,8 @@ def without_excursions(images: Images) -> Images:
             there = images.pixels[:, k : k - step]
             left = np.linalg.norm(there - before, axis=-1) / scale
             other = np.linalg.norm(there - before[:, :, images.counterparts], axis=-1) / scale
-            away &= (left > _OFF) & (left > 2 * back)
-            away &= (other > _ON * left) | ~images.sided
+            away &= (left > _MIN_JUMP_M) & (left > 2 * back)
+            away &= (other > _MAX_MISS_SHARE * left) | ~images.sided
         for k in range(1, step):
             line = before + (after - before) * k / step
             place[:, k : k - step] = np.where(away[..., None], line, place[:, k : k - step])
@@ -238,9 +238,9 @@ def without_excursions(images: Images) -> Images:
 def extrapolated(
     images: Images,
 ) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
-    """Positions of keypoints that earlier frames predict, and a mask of the predicted ones.
+    """Predict every keypoint from the two previous frames; also return a mask of predictions.
 
-    Where a keypoint was not seen two moments before, it would stay.
+    A keypoint that was not seen two frames before is predicted where it was one frame before.
     """
     seen, place = images.seen, images.pixels
     before, known = np.zeros_like(place), np.zeros_like(seen)

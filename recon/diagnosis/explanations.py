@@ -1,4 +1,4 @@
-"""Hypotheses about the error of one camera among several, each with what error remains."""
+"""Corrects one camera of several under each hypothesis of its error; measures what remains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,61 +14,61 @@ from recon.diagnosis.rays import Rays, in_camera, projected
 
 Cause = Literal["turned", "placed", "mirrored", "sized", "moving"]
 
-_SAME_SIZE = 1.1
-"""Factor below which an image has the size of its calibration; what else looks so is a turn."""
-_SMOOTHING = 0.15
-"""Seconds to either side over which the pose of a camera that moves is moving_average."""
-_LEAST_DEPTH = 0.05
-"""Share of a ray's length along the axis of the camera from which on it is in the image."""
+_MAX_SAME_SIZE = 1.1
+"""Ratio of image sizes up to which they count as equal; a rotation can look like as much."""
+_SMOOTHING_S = 0.15
+"""Time (s) before and after each frame over which a moving camera's rotation is averaged."""
+_MIN_DEPTH_SHARE = 0.05
+"""Smallest z component of a ray's unit vector in the camera's frame that is used."""
 _ROUNDS = 8
 _MIN_POINTS, _MIN_SAMPLES = 4, 12
-"""Least number of points to find how a camera is turned in one frame, and where it is at all."""
-_INLIER = 0.02
-"""Distance on the plane at depth 1 within which a keypoint agrees with a camera's place."""
+"""Least number of points to estimate a camera's rotation in one frame, and its pose over all."""
+_MAX_INLIER = 0.02
+"""Distance in the plane z = 1 within which a keypoint agrees with an estimated camera pose."""
 
 
 @dataclass(frozen=True)
 class ExplainedView:
-    """One view after the correction that a hypothesis asks for, and the remaining error."""
+    """One view as corrected under one hypothesis, and the error that remains."""
 
     cause: Cause
     images: Images
-    """All views; the one at odds as it should have been."""
+    """All views, the doubted one corrected."""
     value: float
-    """Degrees or factor, by cause; metres for a placed camera."""
+    """Size of the correction: degrees, a factor, or metres for another position, by `cause`."""
     remains: float
-    """Median distance of the view's rays from the points of the other views, metres."""
+    """Median distance (m) of the view's rays from the points that the other views triangulate."""
 
 
 @dataclass(frozen=True)
 class DoubtedView:
-    """A view compared with what the others see."""
+    """A view that may be wrong, with the points that all other views triangulate."""
 
     images: Images
     view: int
     points: Float[np.ndarray, "moments points 3"]
-    """Triangulated from the other views."""
+    """Points (m, recording's frame) triangulated from the other views."""
     exists: Bool[np.ndarray, "moments points"]
 
     @classmethod
     def of(cls, images: Images, view: int) -> "DoubtedView":
-        """A view, with the points that the other views see."""
+        """Triangulate the points of all other views, to compare one view with."""
         rest = [v for v in range(len(images.names)) if v != view]
         return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
     def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
-        """Distances of the view's rays from the points of the others, metres; NaN: unknown."""
+        """Return distances (m) of the view's rays from the others' points; NaN if unknown."""
         one = Rays.of((self.images if images is None else images).view([self.view]))
         there = self.exists & (one.weight[0] > 0)
         return np.where(there, one.miss(self.points)[0], np.nan)
 
     def miss(self, images: Images | None = None) -> float:
-        """Median distance of the view's rays from the points of the others, metres."""
+        """Return the median distance (m) of the view's rays from the others' points."""
         away = self.misses(images)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
     def explained(self, causes: tuple[Cause, ...]) -> list[ExplainedView]:
-        """The view corrected under each hypothesis, simplest first, with the remaining errors."""
+        """Correct the view under each hypothesis; also measure the remaining errors."""
         undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
             "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
             "turned": self._with_constant_turn,
@@ -83,7 +83,7 @@ class DoubtedView:
         return out
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays of keypoints, directions to triangulated points (camera's frame), and a mask."""
+        """Return rays and directions to triangulated points (camera's frame), and a mask."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
         ways = self.points - one.origin[0]
@@ -92,14 +92,14 @@ class DoubtedView:
         return one.direction[0] @ local, ways @ local, self.exists & (one.weight[0] > 0)
 
     def _with_constant_turn(self) -> tuple[Images, float]:
-        """The camera turned about its centre so that most rays meet the points (robust Wahba)."""
+        """Rotate the camera about its centre so that most rays meet the points (robust Wahba)."""
         rays, ways, there = self._directions()
         turn = robust_turns(ways[there][None], rays[there][None], there[there][None])
         degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
         return self._with_turn(turn), float(degrees)
 
     def _with_smooth_turn(self) -> tuple[Images, float]:
-        """The camera turned about its centre by a rotation that changes smoothly over time."""
+        """Rotate the camera about its centre by a rotation that changes smoothly over time."""
         rays, ways, there = self._directions()
         moments = len(rays)
         known = there.sum(-1) >= _MIN_POINTS
@@ -108,7 +108,7 @@ class DoubtedView:
         vectors = Rotation.from_matrix(robust_turns(ways, rays, there)[known]).as_rotvec()
         times = np.arange(moments)
         vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
-        smooth = moving_average(vectors, round(_SMOOTHING * self.images.fps))
+        smooth = moving_average(vectors, round(_SMOOTHING_S * self.images.fps))
         spread = np.linalg.norm(smooth - smooth.mean(0), axis=-1).max()
         return self._with_turn(Rotation.from_rotvec(smooth).as_matrix()), float(np.degrees(spread))
 
@@ -120,7 +120,7 @@ class DoubtedView:
         return replace(self.images, pose=pose, fixed=kept)
 
     def _with_scaled_image(self) -> tuple[Images, float]:
-        """The image scaled about its corner, as for detections made at another resolution."""
+        """Scale the keypoints about the image's corner, as if detected at another resolution."""
         images, v = self.images, self.view
         local, front = in_camera(images.pose[v], self.points)
         pixels = projected(images.view([v]), local[None], front[None])[0]
@@ -129,23 +129,23 @@ class DoubtedView:
         if len(own) == 0:
             return images, 1.0
         factor = float(np.median((pixels[there] * own).sum(-1) / np.square(own).sum(-1)))
-        if 1 / _SAME_SIZE < factor < _SAME_SIZE:
+        if 1 / _MAX_SAME_SIZE < factor < _MAX_SAME_SIZE:
             return images, 1.0
         scaled = images.pixels.copy()
         scaled[v] *= factor
         return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
 
     def _with_new_pose(self) -> tuple[Images, float]:
-        """The camera with another position and rotation, with which most points agree (PnP)."""
+        """Estimate another camera pose, with which most points agree (PnP with RANSAC)."""
         images, pose = self.images, self.images.pose.copy()
         local, front = in_camera(pose[self.view], self.points)
         rays, _, there = self._directions()
-        good = there & front & (rays[..., 2] > _LEAST_DEPTH)
+        good = there & front & (rays[..., 2] > _MIN_DEPTH_SHARE)
         if good.sum() < _MIN_SAMPLES:
             return images, 0.0
         plane = rays[good][:, :2] / rays[good][:, 2:]
         found, turn, shift, _ = cv2.solvePnPRansac(
-            local[good], plane, np.eye(3), None, reprojectionError=_INLIER
+            local[good], plane, np.eye(3), None, reprojectionError=_MAX_INLIER
         )
         if found:
             turn = Rotation.from_rotvec(turn[:, 0]).as_matrix()
@@ -156,7 +156,7 @@ class DoubtedView:
 
 
 def mirrored(images: Images, views: list[int]) -> Images:
-    """The images with those of some views mirrored, left to right."""
+    """Return the images with some views mirrored, left to right."""
     pixels = images.pixels.copy()
     for v in views:
         pixels[v, ..., 0] = np.where(images.seen[v], images.size[v][0] - pixels[v, ..., 0], 0.0)
@@ -164,7 +164,7 @@ def mirrored(images: Images, views: list[int]) -> Images:
 
 
 def shifted_in_time(images: Images, view: int, frames: float) -> Images:
-    """One view with its frames shifted in time by a number of frames."""
+    """Return the images with one view shifted by a number of frames, with interpolation."""
     moments = images.pixels.shape[1]
     times = np.arange(moments) + frames
     low = np.floor(times + 1e-9).astype(int)
@@ -186,7 +186,7 @@ def robust_turns(
     rays: Float[np.ndarray, "moments samples 3"],
     known: Bool[np.ndarray, "moments samples"],
 ) -> Float[np.ndarray, "moments 3 3"]:
-    """The rotations that best turn unit vectors onto others; outliers count less."""
+    """Find the rotations that best turn unit vectors onto others; outliers have less weight."""
     weight = known.astype(np.float64)
     turns = np.broadcast_to(np.eye(3), (len(targets), 3, 3))
     for _ in range(_ROUNDS):
@@ -203,12 +203,12 @@ def robust_turns(
 def moving_average(
     values: Float[np.ndarray, "moments dims"], half_width: int
 ) -> Float[np.ndarray, "moments dims"]:
-    """Mean of equally many moments before and after, fewer at the ends; keeps straight lines."""
+    """Return centred moving averages, with narrower windows at the ends; keeps straight lines."""
     last = len(values) - 1
     reaches = [min(half_width, t, last - t) for t in range(len(values))]
     return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
 
 
 def camera_centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
-    """Where a camera stands in the recording, metres, from T_camera_world."""
+    """Return a camera's position (m) in the recording's frame, from T_camera_world."""
     return -pose[:3, :3].T @ pose[:3, 3]

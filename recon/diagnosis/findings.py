@@ -1,4 +1,4 @@
-"""Findings of checks, as records for reports and as sentences."""
+"""The records in which checks report faults and notes, and helpers to phrase them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -50,7 +50,7 @@ Code = Literal[
     "hand",  # points of a hand are another hand's, mirrored, too few, or of uncertain depth
     "stopped",  # the caller ended the fit before it was done
 ]
-"""The likeliest cause of a finding."""
+"""Kind of a finding, by its likeliest cause."""
 
 
 @dataclass(frozen=True)
@@ -61,36 +61,36 @@ class Finding:
     message: str
     """A sentence for the user: what was found and what was done or what to do."""
     joints: tuple[str, ...] = ()
-    """Names of the points that are concerned, as the recording calls them; empty means all."""
+    """Names of the points concerned, as in the recording; empty means all."""
     frames: tuple[tuple[int, int], ...] = ()
-    """Stretches of frames, first and last, both included; empty means all."""
+    """First and last frame (inclusive) of each stretch concerned; empty means all."""
     value: float | None = None
-    """The number that decided, in SI units or pixels."""
+    """The number that was compared with a limit, in SI units or pixels."""
     sensors: tuple[str, ...] = ()
-    """Names of the sensors that it speaks of; empty means all."""
+    """Names of the sensors concerned; empty means all."""
 
     def of(self, sensor: str) -> "Finding":
-        """The finding with a sensor's name in its record and at the start of its message."""
+        """Return the finding with a sensor's name in its record and before its message."""
         return replace(self, message=f"{sensor}: {self.message}", sensors=(sensor,))
 
     def report(self) -> dict[str, Any]:
-        """The record as it stands in a report's lists `diagnosis`, `repairs` and `warnings`."""
+        """Return the record as it stands in the report's lists of findings."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Findings in three lists: diagnosis, repairs and warnings; sums keep the order."""
+    """Findings in three lists: repairs, warnings and diagnosis; `+` appends them in order."""
 
     repairs: Sequence[Finding] = ()
-    """Faults of the data that were put right before the fit."""
+    """Faults of the data that were repaired before the fit."""
     warnings: Sequence[Finding] = ()
-    """What should be read before the result is used."""
+    """Findings that should be read before the result is used."""
     diagnosis: Sequence[Finding] = ()
-    """What is worth knowing but is no fault."""
+    """Findings that are worth knowing but are no fault."""
 
     def __add__(self, other: "Findings") -> "Findings":
-        """The findings of both records, in their order."""
+        """Return the findings of both records, in their order."""
         return Findings(
             (*self.repairs, *other.repairs),
             (*self.warnings, *other.warnings),
@@ -98,7 +98,7 @@ class Findings:
         )
 
     def of(self, sensor: str) -> "Findings":
-        """The findings with a sensor's name in the records and at the start of messages."""
+        """Return the findings with a sensor's name in the records and before the messages."""
         every = (self.repairs, self.warnings, self.diagnosis)
         return Findings(*(tuple(one.of(sensor) for one in some) for some in every))
 
@@ -109,7 +109,7 @@ NOTHING = Findings()
 def run_checks(
     data: Data, checks: Sequence[Callable[[Data], tuple[Data, Findings]]]
 ) -> tuple[Data, Findings]:
-    """The data after a sequence of checks that may repair them, and all findings."""
+    """Run checks one after the other on data that they may repair; return both results."""
     found = NOTHING
     for check in checks:
         data, more = check(data)
@@ -120,12 +120,12 @@ def run_checks(
 def stretches(
     flags: Bool[np.ndarray, " frames"], least: float | int = 1
 ) -> tuple[tuple[int, int], ...]:
-    """First and last index of every run of at least `least` true values."""
+    """Return first and last index of every run of at least `least` true values."""
     return tuple((first, stop - 1) for first, stop in runs(flags) if stop - first >= least)
 
 
 def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:
-    """The flags, true only in runs of at least `least` true values."""
+    """Return a mask that is true only in runs of at least `least` true values."""
     out = np.zeros_like(flags)
     for first, last in stretches(flags, least):
         out[first : last + 1] = True
@@ -133,19 +133,19 @@ def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.n
 
 
 def chosen(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[str, ...]:
-    """The names whose flag is true."""
+    """Return the names whose flag is true."""
     return tuple(name for name, flag in zip(names, flags, strict=True) if flag)
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Names as words of a sentence: all of a few, else the first and how many more there are."""
+    """Join names by commas; of many, the first ones and how many more there are."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most} more"
 
 
 def spans(frames: Sequence[tuple[int, int]], most: int = 3) -> str:
-    """Ranges of frames as words of a sentence."""
+    """Write ranges of frames as words of a sentence, such as "frames 3-7, 12"."""
     words = [f"{a}" if a == b else f"{a}-{b}" for a, b in frames]
     noun = "frame" if len(frames) == 1 and frames[0][0] == frames[0][1] else "frames"
     return f"{noun} {listed(words, most)}"

@@ -1,4 +1,4 @@
-"""Keypoints and cameras of one clip as arrays, the input of the checks of images."""
+"""Keypoints and cameras of one clip as NumPy arrays, which the checks of 2D data use."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,21 +23,21 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 
 _SCALE_MEDIAN_S = 0.5
-"""Seconds to either side over which the median of the scale of an image is taken."""
+"""Time (s) before and after each frame over which the median of the image scale is taken."""
 
 
 @dataclass(frozen=True)
 class Images:
-    """The keypoints and cameras of views that share a clock and a layout, without a batch axis."""
+    """2D keypoints and cameras of all views that share a clock and a set of keypoints."""
 
     pixels: Float[np.ndarray, "views moments points 2"]
-    """Free of lens distortion."""
+    """Image positions of the keypoints (pixels), without lens distortion."""
     confidence: Float[np.ndarray, "views moments points"]
-    """0 is not seen."""
+    """Confidence of the detector per keypoint; 0 where it is not seen."""
     matrix: Float[np.ndarray, "views 3 3"]
-    """Camera matrices, pixels."""
+    """Camera matrices (pixels)."""
     pose: Float[np.ndarray, "views moments 4 4"]
-    """T_camera_world of every view at every moment, metres."""
+    """T_camera_world of every view in every frame (metres)."""
     scale: Float[np.ndarray, "views moments"]
     """Pixels per metre at the body, from the least foreshortened bones."""
     size: tuple[tuple[int, int], ...]
@@ -48,17 +48,17 @@ class Images:
     """Names of the keypoints."""
     fps: float
     fixed: tuple[bool, ...]
-    """Whether each camera stands still."""
+    """Whether each camera has one pose for all frames."""
     rest: Float[np.ndarray, "points 3"]
     """Positions of the keypoints on the average body in its rest pose, metres."""
     views: tuple[Keypoints2D, ...]
-    """The views that they were taken from."""
+    """The observations from which the arrays were made."""
     body: BodyModel
-    """Whose keypoints they are."""
+    """Body model on which the keypoints are defined."""
 
     @classmethod
     def of(cls, views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel) -> "Images":
-        """The arrays of views of one clip, whose batch axis has length one."""
+        """Build the arrays from the views of one clip, whose batch axis has length one."""
         moments, points = views[0].pixels.shape[-3], views[0].points.names
         average = body.joint_template.new_zeros(body.shape_size)
         rest = views[0].points.at_rest(body, average).double().numpy()
@@ -110,7 +110,7 @@ class Images:
 
     @property
     def shown(self) -> Float[np.ndarray, "views moments points 2"]:
-        """Pixels; NaN where a keypoint was not found."""
+        """Pixels of the keypoints; NaN where a keypoint was not found."""
         return np.where(self.seen[..., None], self.pixels, np.nan)
 
     @property
@@ -135,11 +135,11 @@ class Images:
 
     @property
     def focal(self) -> Float[np.ndarray, " views"]:
-        """Mean focal length, pixels."""
+        """Mean focal length of each view (pixels)."""
         return self.matrix[:, [0, 1], [0, 1]].mean(-1)
 
     def view(self, rows: Sequence[int]) -> "Images":
-        """The images of some of the views."""
+        """Return the images of some of the views."""
         index = list(rows)
         return replace(
             self,
@@ -159,11 +159,11 @@ class Images:
         flags: Bool[np.ndarray, "views moments"],
         order: Int[np.ndarray, " points"] | None = None,
     ) -> "Images":
-        """The images with names in another order in some views at some moments.
+        """Return images with keypoints' names permuted in some views and frames.
 
         Args:
-            flags: which views, and when.
-            order: points whose places the points take; default: left and right exchanged.
+            flags: views and frames in which names are permuted.
+            order: keypoint k gets the position of keypoint order[k]; default: left-right exchange.
         """
         here = flags[..., None]
         order = self.counterparts if order is None else order
@@ -174,7 +174,7 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """The images without some keypoints; the scale is estimated again from the others."""
+        """Return images without some keypoints; the scale is estimated again from the others."""
         pixels = np.where(hidden[..., None], 0.0, self.pixels)
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()
@@ -192,7 +192,7 @@ def _pixels_per_metre(
     rest: Float[np.ndarray, "points 3"],
     fps: float,
 ) -> Float[np.ndarray, " moments"]:
-    """Pixels per metre at the body, the median over a second around every moment."""
+    """Estimate pixels per metre at the body, as the median over a second around each frame."""
     place, found, at_rest = (torch.from_numpy(a) for a in (pixels, confidence, rest))
     scale = bone_scale(points, at_rest, place[None], found[None])[0].numpy()
     reach = min(round(_SCALE_MEDIAN_S * fps), len(scale) - 1)
@@ -201,21 +201,22 @@ def _pixels_per_metre(
 
 
 _AROUND_CHANGE_S = 0.5
-"""Seconds to either side of a change of names that are fitted."""
-_FALL = 0.8
-"""Share of its objective to which a fit must fall without a change of names. On training people
-true changes fall to 0.7 at most, right names that are exchanged rise to 1.4 at least."""
-_KEEPS_FACING = 0.95
-"""Share of the frames in which somebody who never turns faces the same side of the image."""
+"""Time (s) before and after a change of names that quick fits cover."""
+_MAX_COST_RATIO = 0.8
+"""Ratio to which undoing a change of names must reduce the objective of a quick fit. For true
+changes of training people it is 0.7 at most; if right names are changed, 1.4 at least."""
+_MIN_FACING_SHARE = 0.95
+"""Share of the frames in which a person who never turns faces the same side of the image."""
 
 
 def confirmed_sides(
     images: Images, flags: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """Mask of the frames of one view in which fits of the body confirm exchanged sides.
+    """Return a mask of the frames of one view where quick fits confirm a left-right exchange.
 
-    A stretch from the first or to the last moment has one change only, and either side of it may
-    be the wrong one: then the body must face the same side of the image throughout, too.
+    A stretch that begins or ends with the clip has only one change of names, and the part before
+    or after it may be the wrong one: then the body must also face the same side of the image
+    throughout.
     """
     changes = np.flatnonzero(np.diff(flags)) + 1
     after = images.exchanged(flags[None])
@@ -230,12 +231,12 @@ def confirmed_sides(
 def better_changes(
     images: Images, after: Images, changes: Int[np.ndarray, " changes"]
 ) -> Bool[np.ndarray, " changes"]:
-    """Whether each change of names in one view makes a quick fit of the second around it worse.
+    """For each change of names in one view, return whether undoing it improves a quick fit.
 
     Args:
-        images: with the changes.
-        after: the same without them.
-        changes: frames from which on names are others.
+        images: images with the changes of names.
+        after: the same images without them.
+        changes: first frame after each change.
     """
     moments = images.confidence.shape[1]
     half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
@@ -246,15 +247,15 @@ def better_changes(
         for a in first
     ]
     given, new = _costs_of_views(versions, images.body).reshape(2, -1)
-    return new < _FALL * given
+    return new < _MAX_COST_RATIO * given
 
 
 def fits_better_exchanged(images: Images, share: float) -> bool:
     """Whether a body fits one view clearly better with all left and right exchanged.
 
-    Knees, feet and the face tell the front from the back, and with it the sides. The objective
-    must fall below this share of that without the exchange, in fits at 15 Hz and then at up to
-    60 Hz: a single fit may end in a wrong local minimum under the right names.
+    Knees, feet and the face tell the front from the back, and so the sides. The exchange must
+    reduce the objective below `share` of its value, in fits at 15 Hz and then at up to 60 Hz: a
+    single fit may end in a wrong local minimum under the right names.
     """
     after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
     excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
@@ -266,19 +267,19 @@ def fits_better_exchanged(images: Images, share: float) -> bool:
 
 
 def keeps_facing(images: Images) -> bool:
-    """Whether the right hip and shoulder are on the same side of the image in all frames."""
+    """Whether the body faces the same side of the only view's image in nearly all frames."""
     seen = images.seen[0] & images.seen[0][:, images.counterparts]
     names = ("shoulder", "hip")
     pairs = [k for k, name in enumerate(images.points) if name in {f"left_{n}" for n in names}]
     across = images.pixels[0] - images.pixels[0][:, images.counterparts]
     across = np.where(seen[..., None], across, 0.0)[:, pairs].sum(1)
-    return bool((across @ across.mean(0) > 0)[seen[:, pairs].any(-1)].mean() > _KEEPS_FACING)
+    return bool((across @ across.mean(0) > 0)[seen[:, pairs].any(-1)].mean() > _MIN_FACING_SHARE)
 
 
 def _costs_of_views(
     versions: Sequence[Keypoints2D], body: BodyModel
 ) -> Float[np.ndarray, " versions"]:
-    """Objectives of quick fits to versions of one camera's keypoints, equally long; metres²."""
+    """Return objectives (m²) of quick fits to equally long versions of one camera's keypoints."""
     seen = concatenate(list(versions))
     start = seen.start(body)
     noise = seen.noise(start, body)
@@ -290,12 +291,12 @@ def _costs_of_views(
     return found.reports[-1].solution.value.double().numpy()
 
 
-_LONGER = 1.1
-"""Times a bone's length at the body's size that it may be in an image."""
+_MAX_LENGTH_RATIO = 1.1
+"""Largest plausible ratio of a bone's length in an image to its length at the body's size."""
 
 
 def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
-    """Pairs of neighbouring keypoints along a limb, and the keypoint at the limb's root."""
+    """Return pairs of neighbouring keypoints along a limb, with the limb's root keypoint."""
     chains = [
         [f"{side}_{part}" for part in limb]
         for side in ("left", "right")
@@ -308,15 +309,15 @@ def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
 def length_saved(
     images: Images, view: int, pair: tuple[int, int]
 ) -> Float[np.ndarray, " moments"]:
-    """Metres by which bones are too long with the given names, minus those with exchanged ones.
+    """Return by how many metres exchanging two keypoints shortens bones that are too long.
 
-    NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
+    NaN where not the whole limb is seen; zero for keypoints that are no neighbours on a limb.
     """
     root = neighbours_on_limbs(images).get(pair)
     if root is None:
         return np.zeros(images.pixels.shape[1])
     there = images.seen[view][:, [root, *pair]].all(-1)
-    length = _LONGER * np.linalg.norm(images.rest[root] - images.rest[pair[0]])
+    length = _MAX_LENGTH_RATIO * np.linalg.norm(images.rest[root] - images.rest[pair[0]])
     ways = images.pixels[view, :, [root]] - images.pixels[view, :, list(pair)]
     excess = (np.linalg.norm(ways, axis=-1) / images.scale[view] - length).clip(min=0.0)
     return np.where(there, excess[0] - excess[1], np.nan)

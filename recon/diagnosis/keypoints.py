@@ -1,7 +1,7 @@
 """Checks of 2D keypoints: zeros, repeated frames, frozen points, outliers, jumps, frame order.
 
 Detectors are noisy, so no keypoint has the same coordinates twice in a row; software that fills
-what it has lost writes zeros, the last place, or the whole last frame again.
+gaps writes zeros, the last place, or the whole last frame again.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,12 +42,12 @@ from recon.diagnosis.sides import repaired_by_rays, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
 _MIN_HELD_MOMENTS = 4
-"""Moments in a row at one place from which on a keypoint counts as held; two or three may be
-chance where a detector writes whole pixels."""
-_LONGER = 3
-"""Multiple of the usual number of moments at one place from which on a keypoint counts as held."""
+"""Number of consecutive frames at one place from which on a keypoint counts as held; two or three
+may be chance where a detector writes whole pixels."""
+_HELD_RATIO = 3
+"""The same number as a multiple of what is usual for the view's keypoints."""
 _MIN_REPEATED_SHARE, _MIN_KEYPOINTS = 0.9, 5
-"""Share of a frame's keypoints that must repeat for the frame to be a copy, and their number."""
+"""Share of a frame's keypoints that must repeat in a copied frame, and their least number."""
 _MIN_PHOTOGRAPH_SHARE = 0.8
 """Share of copied frames from which on a view is a photograph rather than a film with copies."""
 
@@ -55,7 +55,7 @@ Seen = Bool[np.ndarray, "moments points"]
 
 
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
-    """Mark keypoints at (0, 0) as unseen: missing ones are often written so."""
+    """Mark keypoints at (0, 0) as unseen, as missing ones are often written so."""
 
     def finding(v: int, here: Seen) -> Finding:
         share, points = (
@@ -76,7 +76,7 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
 
 
 def repaired_copies(images: Images) -> tuple[Images, Findings]:
-    """Mark exact copies of the frame before as unseen."""
+    """Mark the keypoints of frames that exactly copy the previous frame as unseen."""
     both = (images.seen[:, 1:] & images.seen[:, :-1]).sum(-1)
     same = unchanged(images.pixels, images.seen)[:, 1:].sum(-1)
     copied = (both >= _MIN_KEYPOINTS) & (same >= _MIN_REPEATED_SHARE * both)
@@ -99,14 +99,14 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
 
 
 def repaired_held(images: Images) -> tuple[Images, Findings]:
-    """Mark keypoints as unseen where they stay at exactly one place while others move."""
+    """Mark keypoints as unseen where they keep exactly one place while others move."""
     length = np.zeros(images.seen.shape, dtype=int)
     for v, same in enumerate(unchanged(images.pixels, images.seen)):
         for point, own in enumerate(same.T):
             for first, last in stretches(own):
                 length[v, first : last + 1, point] = last - first + 1
     usual = np.median(length.max(1), -1)
-    held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _LONGER * (usual[:, None, None] + 1))
+    held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _HELD_RATIO * (usual[:, None, None] + 1))
 
     def finding(_: int, here: Seen) -> Finding:
         frames, points = (
@@ -131,48 +131,48 @@ def hidden_keypoints(
     wrong: Bool[np.ndarray, "views moments points"],
     finding_of_view: Callable[[int, Seen], Finding],
 ) -> tuple[Images, Findings]:
-    """The images with wrong keypoints marked as unseen, and a finding for each such view."""
+    """Mark wrong keypoints as unseen, and return a finding for each view with such ones."""
     rows = [v for v, here in enumerate(wrong) if here.any()]
     repairs = tuple(finding_of_view(v, wrong[v]).of(images.names[v]) for v in rows)
     return images.without(wrong), Findings(repairs)
 
 
-_OUTLIER = 0.25
-"""Metres at the body by which an outlier is away from the median of five frames; a hand that
-turns about as fast as hands do is 0.1 m away at 30 Hz."""
-_TYPICAL = 8.0
-"""Factor by which an outlier is farther away than keypoints of its view usually are."""
+_OUTLIER_M = 0.25
+"""Distance (m at the body) of an outlier from its median over five frames; a hand that turns as
+fast as hands do is 0.1 m away at 30 Hz."""
+_OUTLIER_RATIO = 8.0
+"""The same distance as a multiple of what is typical for the view's keypoints."""
 _MEDIAN_FRAMES = 2
-"""Frames to either side in that median."""
-_WIDER = (4, 0.35)
-"""Frames to either side, and metres, for a second pass: three outliers in five frames hide each
-other."""
+"""Number of frames before and after that the median covers."""
+_SECOND_PASS = (4, 0.35)
+"""The same number, and the distance (m), for a second pass: three outliers in five frames hide
+each other."""
 _MAX_ROUNDS = 5
 """Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
-_MANY = 0.01
-"""Share of outliers that is worth a word; fewer do no harm to a robust fit."""
-_JUMP = 0.05
-"""Metres by which half of all keypoints leave their paths within one frame when another person
-is followed from there on; good windows of validation people stay below 0.075 m at 3 and 6 pixels
-of noise, and then do so in all frames."""
-_SUDDEN = 3.0
-"""Factor by which the jump exceeds the median of the frames; good windows stay below 2. Of 64
-validation clips that go over to somebody 0.3 m away, at 3 and at 6 pixels of noise, 61 are above
-3."""
-_DISORDER = 0.12
-"""Metres that a body typically goes from frame to frame when frames are out of order."""
-_GROWTH = 1.25
-"""Factor by which a body must be farther from where it was six frames ago than from where it was
-one frame ago; one that moves reaches two and more."""
+_REPORTED_SHARE = 0.01
+"""Share of outliers from which on they are left out and reported; fewer do no harm to a robust
+fit."""
+_JUMP_M = 0.05
+"""Distance (m) by which half of the keypoints leave their paths within one frame when another
+person is followed from there on. In good windows of validation people they do so by less than
+0.075 m at 3 and 6 pixels of noise, and then in all frames."""
+_JUMP_RATIO = 3.0
+"""The same distance as a multiple of its median over frames; good windows stay below 2. Of 64
+validation clips that switch to a person 0.3 m away, at 3 and 6 pixels of noise, 61 are above 3."""
+_DISORDER_M = 0.12
+"""Typical distance (m) from frame to frame above which frames may be out of order."""
+_MIN_GROWTH = 1.25
+"""Ratio of the distances moved in six frames and in one, below which they are out of order; a
+moving body reaches two and more."""
 
 
 def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     """Mark keypoints as unseen that are far from where they are in neighbouring frames."""
     count = np.maximum(images.seen.sum((1, 2)), 1)
-    wild = _outliers_and_hidden(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
-    many = wild.sum((1, 2)) / count > _MANY
-    wild[many] = _outliers_and_hidden(
-        images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER
+    wild = _all_outliers(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER_M)
+    many = wild.sum((1, 2)) / count > _REPORTED_SHARE
+    wild[many] = _all_outliers(
+        images.view(np.flatnonzero(many).tolist()), wild[many], *_SECOND_PASS
     )
     share = wild.sum((1, 2)) / count
 
@@ -190,10 +190,10 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     return hidden_keypoints(images, wild & many[:, None, None], finding)
 
 
-def _outliers_and_hidden(
+def _all_outliers(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """The known outliers, and more that are found after these are left out."""
+    """Find outliers repeatedly, leaving out those found before; return a mask of all."""
     for _ in range(_MAX_ROUNDS):
         found = _far_from_median(images.without(wild), reach, least)
         if not found.any():
@@ -205,7 +205,7 @@ def _outliers_and_hidden(
 def _far_from_median(
     images: Images, reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """Keypoints farther than some metres from the median of the frames around them."""
+    """Return a mask of keypoints far from their median over the frames around them."""
     seen, place = images.seen, images.shown
     if seen.shape[1] <= 2 * reach:
         return np.zeros_like(seen)
@@ -216,21 +216,21 @@ def _far_from_median(
     away = np.linalg.norm(place - finite_median(windows), axis=-1) / images.scale[..., None]
     typical = [np.median(own[there]) if there.any() else 0.0
                for own, there in zip(away, enough, strict=True)]  # fmt: skip
-    limit = np.maximum(least, _TYPICAL * np.array(typical))
+    limit = np.maximum(least, _OUTLIER_RATIO * np.array(typical))
     return enough & (away > limit[:, None, None])
 
 
 def identity_findings(images: Images) -> tuple[Finding, ...]:
-    """A warning when another person is seen from some frame on, in one view or in all.
+    """Return a warning when another person is seen from some frame on, in one view or in all.
 
-    Half of the keypoints of a view then leave their paths within one step.
+    Half of the keypoints of a view then leave their paths within one frame.
     """
     if images.scale.shape[1] < 4:
         return ()
     size = velocity_changes(images.shown) / images.scale[..., None]
     size = np.nan_to_num(finite_median(size))
     usual = np.array([np.median(one[one > 0]) if (one > 0).any() else 0.0 for one in size])
-    changed = size > np.maximum(_JUMP, _SUDDEN * usual[:, None])
+    changed = size > np.maximum(_JUMP_M, _JUMP_RATIO * usual[:, None])
     if not changed.any():
         return ()
     most = size.max(0)
@@ -252,11 +252,11 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def order_findings(images: Images) -> tuple[Finding, ...]:
-    """A warning when frames of a view are out of order: neighbouring frames are not similar."""
+    """Return warnings for views whose frames are out of order, as neighbours are not similar."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
         one, six = (_typical_distance_moved(images, v, lag) for lag in (1, 6))
-        if one > _DISORDER and six < _GROWTH * one:
+        if one > _DISORDER_M and six < _MIN_GROWTH * one:
             finding = Finding(
                 "frame order",
                 f"the body typically moves by {one:.2f} m from one frame to the next, and no "
@@ -269,19 +269,19 @@ def order_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def _typical_distance_moved(images: Images, view: int, frames: int) -> float:
-    """Median distance that the keypoints move in a number of frames, metres at the body."""
+    """Return the median distance (m) that the keypoints move in a number of frames."""
     place = images.shown[view]
     way = (place[frames:] - place[:-frames]) / images.scale[view, frames:, None, None]
     way = np.linalg.norm(finite_median(way.swapaxes(-1, -2)), axis=-1)
     return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
 
 
-_ON_HEAD = 0.9
-"""Share of the frames in which somebody is upside down from which on the image may be."""
+_UPSIDE_DOWN_SHARE = 0.9
+"""Share of upside-down frames from which on a view gets a warning."""
 
 
 def upside_down_findings(images: Images) -> tuple[Finding, ...]:
-    """Warnings for views in which the shoulders are below the hips nearly throughout."""
+    """Return warnings for views in which shoulders are below the hips nearly throughout."""
     named = [[f"{side}_{part}" for side in ("left", "right")] for part in ("shoulder", "hip")]
     if not {*named[0], *named[1]} <= {*images.points}:
         return ()
@@ -293,7 +293,7 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
         "the image's height less y; if the film is turned, turn it before keypoints are detected"
     )
     known = np.isfinite(upwards)
-    down = (upwards < 0).sum(-1) > _ON_HEAD * np.maximum(known.sum(-1), 1)
+    down = (upwards < 0).sum(-1) > _UPSIDE_DOWN_SHARE * np.maximum(known.sum(-1), 1)
     return tuple(
         Finding("mirrored", said).of(name)
         for name, here in zip(images.names, down, strict=True)
@@ -301,16 +301,16 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
     )
 
 
-_MEET_M = 0.06
-"""Metres by which rays of views miss each other, at most, where their points are measurements."""
+_MAX_MISS_M = 0.06
+"""Median distance (m) by which rays of views may miss each other for points to be triangulated."""
 
 
 def repaired_names(images: Images) -> tuple[Images, Findings]:
-    """Exchange left and right of single points or limbs where all views name them wrongly.
+    """Undo exchanges of points' names that are the same in all views, such as left and right.
 
-    Rays of such points meet, so only the body that they make tells, as of points in space.
+    Rays of such points meet, so the names are checked on the triangulated body.
     """
-    if len(images.names) < 2 or median_miss(images) > _MEET_M:
+    if len(images.names) < 2 or median_miss(images) > _MAX_MISS_M:
         return images, NOTHING
     points, exists = Rays.of(images).triangulated()
     points = np.where(exists[..., None], points, 0.0)
@@ -332,18 +332,18 @@ def screen_views(
 ) -> tuple[list[Keypoints2D], Findings]:
     """Check one clip's views, and repair what can be repaired surely.
 
-    First what repeats bit for bit, outliers, mirrored images, and names that change within the
-    clip; then, for views of one clock and layout, whether they see the same body at the same
-    time; then jumps of the whole body, the order of the frames, and the size of the body. What
-    neighbouring frames tell of outliers, jumps and order is left out below `FEW_MOMENTS`.
+    The order is: exact repetitions, outliers, mirrored images, and names that change within the
+    clip; then, for views of one clock and layout, whether they see the same body at the same time;
+    then jumps of the whole body, the order of the frames, and the body's size. Below a rate of
+    `FEW_MOMENTS`, outliers, jumps and frame order are not checked.
 
     Args:
-        views: of one clip, with a batch axis of length one.
-        names: of the views, for messages.
-        body: whose keypoints they are.
+        views: 2D keypoints of one clip, with a batch axis of length one.
+        names: names of the views, for messages.
+        body: body model to be fitted.
 
     Returns:
-        The views to fit, and what was found. Views that are good are the very same objects.
+        The views to fit, and all findings. Unchanged views are the very same objects.
     """
     out, found = list(views), NOTHING
     for rows, given in grouped_views(views, names, body):
@@ -355,7 +355,7 @@ def screen_views(
 
 
 def screened(images: Images) -> tuple[Images, Findings]:
-    """The views (same clock and layout) after all repairs, with the findings."""
+    """Repair and check views of one clock and keypoint layout; also return the findings."""
     images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_held))
     continuous = images.fps >= FEW_MOMENTS
     disorder = order_findings(images) if continuous else ()
@@ -382,7 +382,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
 def grouped_views(
     views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
 ) -> list[tuple[list[int], Images]]:
-    """Groups of views that share clock, length and layout: their numbers and their images."""
+    """Group views by clock, length and layout; return each group's indices and images."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, view in enumerate(views):
         clock = (view.fps, view.start_time, *view.pixels.shape, view.points.names)

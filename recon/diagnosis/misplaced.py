@@ -1,4 +1,4 @@
-"""Finds points that are not where they should be: exchanged, displaced, or outliers."""
+"""Finds 3D points that are not where they should be: exchanged, displaced, or outliers."""
 
 from itertools import combinations
 
@@ -20,24 +20,24 @@ from recon.diagnosis.named_points import (
 from recon.diagnosis.quick_fit import without_implausible
 
 _MAX_REMAINING_SHARE = 0.5
-"""Share of the distance that may remain when two points exchange their names."""
-_SAVED = 0.08
-"""Metres by which bones must become more like a person's by it."""
-_NEARER = 0.15
-"""Metres by which both points together must come nearer to their places in a frame."""
-_NOISES = 6.0
-"""Standard deviations of a coordinate by which a point must be out of its place: beyond them a
-position is an outlier, and both points together must come nearer when they exchange names."""
-_GAP, _SHORTEST = 2, 2
+"""Share of their errors that may remain when two points exchange their names."""
+_MIN_LENGTH_SAVED_M = 0.08
+"""Sum (m) by which the exchange must reduce the errors of the lengths of bones."""
+_MIN_NEARER_M = 0.15
+"""Sum (m) by which the exchange must bring both points nearer to their places in a frame."""
+_MIN_STDS = 6.0
+"""Standard deviations of a coordinate beyond which a position is an outlier, and by which two
+points must come nearer when they exchange names."""
+_MAX_GAP, _MIN_STRETCH = 2, 2
 """Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
 
 
 Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
-"""Pairs of points that carry each other's name, and when."""
+"""Pairs of points that carry each other's name, each with a mask of frames."""
 
 
 def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
-    """The two joints whose exchange clearly makes bone lengths plausible, or None.
+    """Return the two joints whose exchange clearly makes bone lengths plausible, or None.
 
     A body may cross its legs to reach exchanged ankles, but it cannot change its bones.
     """
@@ -46,8 +46,8 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     bones, ratio = joint_pairs(points), relative_body_size(points) or 1.0
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     misfit: dict[tuple[int, int], Float[np.ndarray, " points"]] = {}
-    """By a bone's end that stays and the one that is replaced: the median difference, metres, of
-    the distance of every point from the end that stays from the length of the bone."""
+    """For each bone's end that stays and end that is replaced: every point's distance from the
+    end that stays, minus the length of the bone, as the median absolute value (m) over time."""
     for k, j in bones:
         length = ratio * rest_length(points, k, j)
         for stays, replaced in ((k, j), (j, k)):
@@ -59,25 +59,25 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
         own = sum(float(misfit[ends][ends[1]]) for ends in touched)
-        if own <= max(best, _SAVED):  # no exchange lowers the cost further
+        if own <= max(best, _MIN_LENGTH_SAVED_M):  # no exchange lowers the cost further
             continue
         new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
-        if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
+        if own - new > max(best, _MIN_LENGTH_SAVED_M) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)
     return pair
 
 
-_CROSSED = 0.02
-"""Metres by which two bones together must become more like a person's for a fit to be asked."""
-_OPPOSED = -0.5
-"""Cosine of the directions from left to right of two limbs below which one is exchanged."""
+_MIN_CROSSED_M = 0.02
+"""Sum (m) by which an exchange must reduce two bones' errors of length for a fit to test it."""
+_MAX_COSINE = -0.5
+"""Cosine of the left-to-right directions of two limbs below which one is exchanged."""
 
 
 def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
-    """Groups of left-right pairs, parts of a limb, that may carry each other's names; mostly none.
+    """Find groups of left-right pairs, each a part of a limb, that may be exchanged; mostly none.
 
-    Such limbs are those of which a bone fits the other side's joint, and those whose left and
-    right are opposite to another limb's. Every part of these is a group, and a fit tells which.
+    Candidates are limbs of which a bone fits the other side's joint, and limbs whose left-to-right
+    direction is opposite to another limb's. Every part of these is a group; a fit must decide.
     """
     if not points.are_joints:
         return []
@@ -99,7 +99,7 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
     crossed = set[int]()
     for a, b in combinations(limbs, 2):
         cosine = _cosine_across(points, a, b)
-        crossed |= {a, b} if cosine < _OPPOSED else set()
+        crossed |= {a, b} if cosine < _MAX_COSINE else set()
     for a, b in pairs:
         (root,) = pairs_from_root(a) & limbs.keys()
         limbs[root].append({j for j in one_side if min(b, other[b]) in pairs_from_root(j)})
@@ -111,7 +111,7 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
         if not all(map(len, (*own, *new))):
             continue
         own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
-        if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
+        if own - new > _MIN_CROSSED_M and new < _MAX_REMAINING_SHARE * own:
             crossed.add(root)
     parts = [part for root in sorted(crossed) for part in limbs[root]]
     parts += [one - less for one in parts for less in parts if less < one]
@@ -129,10 +129,10 @@ def _cosine_across(points: NamedPoints, a: int, b: int) -> float:
 
 
 def exchanged_moments(predicted: PredictedPoints, noise: float) -> Exchanges:
-    """Pairs of points that lie at each other's place on the body, and the frames of it."""
+    """Find pairs of points that lie at each other's place on the body, and in which frames."""
     points = predicted.points
     away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
-    nearer = max(_NEARER, _NOISES * noise)
+    nearer = max(_MIN_NEARER_M, _MIN_STDS * noise)
     found: list[tuple[float, tuple[int, int], Bool[np.ndarray, " moments"]]] = []
     for a, b in combinations(range(len(points.names)), 2):
         own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
@@ -151,7 +151,7 @@ def exchanged_moments(predicted: PredictedPoints, noise: float) -> Exchanges:
 def _whole_stretches(
     surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """Runs of likely frames that contain a sure one, with short gaps closed.
+    """Return runs of likely frames that contain a sure one, with short gaps closed.
 
     Limbs that pass each other are too close to be distinguished for a few frames.
     """
@@ -160,27 +160,27 @@ def _whole_stretches(
     grown = surely.copy()
     for first, last in stretches(likely):
         grown[first : last + 1] |= surely[first : last + 1].any()
-    gaps = ~grown & ~lasting(~grown, _GAP + 1)
+    gaps = ~grown & ~lasting(~grown, _MAX_GAP + 1)
     gaps[: int(grown.argmax())] = gaps[len(grown) - int(grown[::-1].argmax()) :] = False
-    return lasting(grown | gaps, _SHORTEST)
+    return lasting(grown | gaps, _MIN_STRETCH)
 
 
-_FASTEST = 0.1
-"""Seconds between two moments beyond which limbs may have changed places."""
-_LESS = 0.6
-"""Share of the way that points must go to their own last places, below which going to the other
-side's last places means that names were exchanged."""
+_MAX_GAP_S = 0.1
+"""Time (s) between two observations beyond which limbs may have changed places."""
+_MAX_STEP_RATIO = 0.6
+"""Ratio of the steps from the other side's last places to those from a point's own places, below
+which names were exchanged."""
 _MIN_SAVED_M = 0.1
-"""Metres per point that must be saved by it; below, both sides were in the same place."""
+"""Difference (m) of these steps per point, below which both sides were in the same place."""
 
 
 def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
-    """The moments at which left and right are exchanged relative to the first moment."""
+    """Return a mask of frames where left and right are exchanged relative to the first frame."""
     return _odd_exchanges(_moments_of_exchange(points, _counterpart_pairs(points)))
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
-    """Left-right pairs of points that jump to each other's position and back, with the frames."""
+    """Find left-right pairs of points that jump to each other's place and back, with frames."""
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
@@ -197,70 +197,71 @@ def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 def _moments_of_exchange(
     points: NamedPoints, pairs: list[tuple[int, int]]
 ) -> Bool[np.ndarray, " moments"]:
-    """Mask of moments at which the points of these pairs jump to each other's position.
+    """Return a mask of frames in which these pairs of points jump to each other's place.
 
-    They then move less if their sides are exchanged.
+    In these frames the points move less if their sides are exchanged.
     """
     rows, moment = np.array(pairs, int).reshape(-1, 2), np.arange(len(points.visible))[:, None]
     seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
     last = np.maximum.accumulate(np.where(seen, moment, -1))
     last = np.concatenate((np.full_like(last[:1], -1), last[:-1]))
-    known = seen & (last >= 0) & ((moment - last) / points.fps <= _FASTEST)
+    known = seen & (last >= 0) & ((moment - last) / points.fps <= _MAX_GAP_S)
     before = np.take_along_axis(x, last.clip(min=0)[..., None, None], axis=0)
     same, other = (
         np.where(known, np.linalg.norm(after - before, axis=-1).sum(-1), 0.0)
         for after in (x, x[:, :, ::-1])
     )
     saved = np.clip(same - other, -1.0, 1.0).sum(-1) / known.sum(-1).clip(min=1) / 2
-    return (saved > _MIN_SAVED_M) & (other.sum(-1) < _LESS * same.sum(-1))
+    return (saved > _MIN_SAVED_M) & (other.sum(-1) < _MAX_STEP_RATIO * same.sum(-1))
 
 
 def _odd_exchanges(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Mask of frames after an odd number of exchanges; empty if the exchanges are too many."""
+    """Return a mask of frames after an odd number of exchanges; empty after too many."""
     odd = np.cumsum(exchanges) % 2 == 1
     return odd if exchanges.sum() <= max(2, len(exchanges) // 8) else np.zeros_like(odd)
 
 
 _OUTLIER_M = 0.25
-"""Metres from the body beyond which a single position is an outlier, whatever the noise."""
-_LEAP = 0.1
-"""Metres between a position and the middle of its neighbours in time, by which points leap to
-outliers and back; hands that punch turn around within 8 cm at 30 frames per second."""
-_MANY = 0.02
-"""Share of outliers that is worth a word."""
-_AWAY = 0.08
-"""Metres of median distance from which on a point may be away from its place throughout."""
-_OTHERS = 3.0
-"""Multiple of the other points' median distance from which on a point may be away throughout."""
+"""Distance (m) from the body beyond which a single position is an outlier, whatever the noise."""
+_MIN_LEAP_M = 0.1
+"""Distance (m) between a position and the mean of the two next to it in time, by which outliers
+leap away; hands that punch turn around within 8 cm at 30 frames per second."""
+_REPORTED_SHARE = 0.02
+"""Share of outliers from which on they are reported."""
+_MIN_AWAY_M = 0.08
+"""Median distance (m) from which on a point may be away from its place throughout."""
+_MIN_AWAY_RATIO = 3.0
+"""The same distance as a multiple of the other points' median distance."""
 _OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
 """Metres of a constant offset from which on a point is misplaced. Joints of other models are
 within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
 from the landmark that they are named after."""
-_ONE_SIDED = 0.065
-"""Metres by which a marker of the trunk or a leg may differ from the mirror image of its
-counterpart: people put both in the same manner, so that a protocol of other places moves both.
-Elbows and wrists, whose few markers leave the bone's twist open, differ by more."""
+_MAX_ASYMMETRY_M = 0.065
+"""Distance (m) by which a marker of the trunk or a leg may differ from the mirror image of its
+counterpart: both are usually placed alike, even if at other places than the names say. Elbows and
+wrists, whose few markers leave the bone's twist open, differ by more."""
 _MAX_LENGTH_SHARE, _MAX_LENGTH_STDS = 0.5, 2.0
-"""Share of its length, and standard deviations of a coordinate, within which (the larger of both)
-an offset stays the same in the frame of the bone."""
-_MOSTLY = 0.8
-"""Quantile of its distances that must be as large; limbs return to a point that stands still."""
+"""Variation of an offset in the frame of the bone, as a share of its length and in standard
+deviations of a coordinate (the larger counts), up to which the offset is constant."""
+_AWAY_QUANTILE = 0.8
+"""Quantile of a point's distances from its place that must exceed the limit, if the point stands
+still in the room; limbs may return to it."""
 _MAX_STILL_RADIUS_M = 0.08
-"""Metres from its middle within which a point that stands still in the room remains."""
-_ALWAYS = 0.9
-"""Share of the moments at which it does."""
-_MOVED = 0.2
-"""Metres that the body moves a point meanwhile (largest from the middle)."""
+"""Distance (m) from its median within which a point that stands still in the room remains."""
+_STILL_QUANTILE = 0.9
+"""Quantile of these distances that must be within the radius."""
+_MIN_BODY_MOTION_M = 0.2
+"""Largest distance (m) from its median that the body must move the point meanwhile."""
 
 
 def misplaced_points(
     predicted: PredictedPoints, noise: float
 ) -> tuple[NamedPoints, list[Finding]]:
-    """The points without those that are displaced in all frames, and findings about these."""
+    """Mark points as unseen that are displaced in all frames; also return findings about them."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
     known, away = typical[typical > 0], predicted.away
-    least = max(_AWAY, _OTHERS * float(np.median(known))) if len(known) else np.inf
+    least = max(_MIN_AWAY_M, _MIN_AWAY_RATIO * float(np.median(known))) if len(known) else np.inf
     offset, spread = predicted.offset, predicted.spread
     constant = np.linalg.norm(offset, axis=-1)
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
@@ -273,11 +274,11 @@ def misplaced_points(
         seen, name = points.visible[:, point], points.names[point]
         x, body = points.positions[seen, point], predicted.positions[seen, point]
         still = np.linalg.norm(x - np.median(x, axis=0), axis=-1)
-        moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MOVED
-        stays = moved and np.quantile(still, _ALWAYS) < _MAX_STILL_RADIUS_M
+        moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MIN_BODY_MOTION_M
+        stays = moved and np.quantile(still, _STILL_QUANTILE) < _MAX_STILL_RADIUS_M
         value = float(typical[point])
         code: Code = "offset point"
-        if stays and np.quantile(away[seen, point], _MOSTLY) > least:
+        if stays and np.quantile(away[seen, point], _AWAY_QUANTILE) > least:
             code, why = (
                 "constant point",
                 (f"{name} stays in one place in the room while the body moves away from it"),
@@ -297,20 +298,20 @@ def misplaced_points(
 def _displaced_on_one_side(
     points: NamedPoints, offset: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " points"]:
-    """Markers of trunk and legs that are displaced while those of the other side are not."""
+    """Return a mask of markers of trunk and legs that are displaced on one side only."""
     mirrored = offset[list(points.counterparts)] * (-1.0, 1.0, 1.0)
     apart = np.linalg.norm(offset - mirrored, axis=-1)
     away, other = np.linalg.norm(offset, axis=-1), np.linalg.norm(mirrored, axis=-1)
     fixed = np.array([bone not in ARMS for bone in points.bones])
-    return fixed & (apart > _ONE_SIDED) & (away > _ONE_SIDED) & (other < away / 2)
+    return fixed & (apart > _MAX_ASYMMETRY_M) & (away > _MAX_ASYMMETRY_M) & (other < away / 2)
 
 
 def without_outliers(
     predicted: PredictedPoints, noise: float
 ) -> tuple[NamedPoints, Finding | None]:
-    """The points without positions far from the body, and a finding that says how many."""
+    """Mark positions far from the body as unseen; also return a finding with their number."""
     points = predicted.points
-    limit = max(_OUTLIER_M, _NOISES * noise)
+    limit = max(_OUTLIER_M, _MIN_STDS * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
     # an outlier jumps away and back; a fast limb moves smoothly, even if the quick fit lags behind
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
@@ -319,7 +320,7 @@ def without_outliers(
         bend[[0, -1]] = bend[[1, -2]]
         unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
     bend[unknown] = np.inf
-    leap = max(_LEAP, _NOISES * noise)
+    leap = max(_MIN_LEAP_M, _MIN_STDS * noise)
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
@@ -330,7 +331,7 @@ def without_outliers(
     if share == 0:
         return points, None
     kept = points.without(far)
-    if share < _MANY:
+    if share < _REPORTED_SHARE:
         return kept, None
     joints = chosen(points.names, np.any(far, axis=0))
     return kept, Finding(

@@ -1,4 +1,4 @@
-"""Centre of mass and feet over time; finds seats, steps and treadmills under the body."""
+"""Centre of mass and feet over time; detects seats, steps and treadmills under the body."""
 
 from dataclasses import dataclass
 
@@ -18,25 +18,25 @@ _HIPS = (joint_index("left_hip"), joint_index("right_hip"))
 _KNEES = (joint_index("left_knee"), joint_index("right_knee"))
 _ANKLES = (joint_index("left_ankle"), joint_index("right_ankle"))
 _TOES = (joint_index("left_foot"), joint_index("right_foot"))
-_ASKED = (joint_index("pelvis"), *_HIPS, *_KNEES, *_ANKLES)
-_SELDOM = 0.1
-"""Share of the frames in which the lower sole may be below the ground."""
-_HEEL, _TIP = 0.4, 0.5
-"""How far the sole reaches behind the ankle and beyond the toe joint, in lengths of the line
-between the two."""
+_REQUIRED_JOINTS = (joint_index("pelvis"), *_HIPS, *_KNEES, *_ANKLES)
+_GROUND_QUANTILE = 0.1
+"""Quantile over time of the lower sole's height that is the height of the ground."""
+_HEEL_RATIO, _TIP_RATIO = 0.4, 0.5
+"""How far the sole reaches behind the ankle and beyond the toe joint, relative to the distance of
+these two."""
 
 
 @dataclass(frozen=True)
 class Movement:
-    """One stretch of a motion in which the pelvis and both legs were seen; metres, z up."""
+    """Centre of mass and feet in one stretch of a motion with visible legs; metres, z up."""
 
     joints: Float[np.ndarray, "time 22 3"]
     centre: Float[np.ndarray, "time 3"]
     """Centre of mass."""
     leg: float
-    """Length of a leg from the hip joint over the knee to the ankle."""
+    """Length of a leg (m) from the hip joint over the knee to the ankle."""
     ankles: Float[np.ndarray, "time 2 3"]
-    """Left and right ankle; the toe joints likewise."""
+    """Positions of the left and right ankle; those of the toe joints follow."""
     toes: Float[np.ndarray, "time 2 3"]
     sole_drop: Float[np.ndarray, " 2"]
     """Height of the ankle and of the toe joint above the sole of a standing foot."""
@@ -45,9 +45,9 @@ class Movement:
     soles: Float[np.ndarray, "time 2 2 3"]
     """Heel and tip of the left and the right foot, at the height of the joints."""
     ground: float
-    """Height of the ground: the soles are seldom lower."""
+    """Height of the ground: a low quantile of the heights of the lower sole."""
     forward: Float[np.ndarray, "time 2"]
-    """Horizontal direction in which the pelvis faces."""
+    """Horizontal unit vector of the direction that the pelvis faces."""
     fps: float
     frames: int
 
@@ -55,16 +55,16 @@ class Movement:
     def of(
         cls, motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
     ) -> "Movement":
-        """The longest stretch of one clip in which the pelvis and both legs were observed.
+        """Take the longest stretch of one clip in which the pelvis and both legs were observed.
 
         Args:
-            motion: one clip, z up, without a batch axis.
-            body: whose motion it is.
+            motion: motion of one clip, z up, without a batch axis.
+            body: body model of the motion.
             observed: joints that the data shows; None means all.
         """
         seen = motion.valid
         if observed is not None:
-            seen = seen & observed[:, list(_ASKED)].all(-1)
+            seen = seen & observed[:, list(_REQUIRED_JOINTS)].all(-1)
         runs = stretches(seen.numpy())
         first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
         posed = body.pose(motion.window(first, last + 1).detach())
@@ -87,8 +87,8 @@ class Movement:
             toes=toes,
             sole_drop=drop,
             sole_heights=heights,
-            soles=np.stack((ankles - _HEEL * along, toes + _TIP * along), -2),
-            ground=float(np.quantile(heights.min(1), _SELDOM)) if len(heights) else 0.0,
+            soles=np.stack((ankles - _HEEL_RATIO * along, toes + _TIP_RATIO * along), -2),
+            ground=float(np.quantile(heights.min(1), _GROUND_QUANTILE)) if len(heights) else 0.0,
             forward=np.stack((across[:, 1], -across[:, 0]), -1),
             fps=motion.fps,
             frames=len(joints),
@@ -98,7 +98,7 @@ class Movement:
 def distance_outside_hull(
     points: Float[np.ndarray, "frames 2"], corners: Float[np.ndarray, "frames corners 2"]
 ) -> Float[np.ndarray, " frames"]:
-    """Distance of a point in every frame from the convex hull of corners; zero inside."""
+    """Return each frame's distance of a point from the convex hull of corners; zero inside."""
     count = corners.shape[1]
     distance = np.full(len(points), np.inf)
     for a in range(count):
@@ -115,33 +115,33 @@ def distance_outside_hull(
 
 
 _MAX_STANDING_SPEED_M_S = 0.2
-"""Metres per second below which a foot or the centre of mass stands."""
-_LEVELS = 0.08
-"""Metres between two levels; soles of one floor differ less."""
+"""Speed (m/s) below which a foot or the centre of mass stands still."""
+_MIN_LEVEL_M = 0.08
+"""Height difference (m) of two levels; soles on one floor differ less."""
 _MIN_LEVEL_S = 0.3
-"""Seconds for which a foot must stand on another level."""
+"""Time (s) for which a foot must stand on another level."""
 _MIN_LEVEL_SHARE = 0.1
-"""Share of the time of all standing feet for which feet must stand on another level."""
+"""Share of the time of standing feet for which feet must stand on another level."""
 _MAX_BESIDE_M = 0.12
-"""Metres by which the centre of mass may lie outside the feet while a body stands still."""
-_LEAST_REST = 0.8
-"""Seconds of rest outside the feet that make it sitting, lying or leaning."""
-_BELOW = 0.3
-"""Lengths of a leg by which a standing sole is below the pelvis."""
-_SEATED, _INVERTED = 0.75, -0.2
-"""Heights of the pelvis over the lower sole, in lengths of a leg, between which a body is not on
-its feet alone: 1.2 for who stands, 0.7 for who sits on crossed legs, negative on the hands."""
+"""Distance (m) by which the centre of mass may lie outside the feet of a standing body."""
+_MIN_REST_S = 0.8
+"""Time (s) at rest beside the feet that makes it sitting, lying or leaning."""
+_MIN_PELVIS_LEGS = 0.3
+"""Height of the pelvis over the sole of a standing foot, in leg lengths, at least."""
+_MAX_SEAT_LEGS, _MIN_SEAT_LEGS = 0.75, -0.2
+"""Heights of the pelvis over the lower sole, in leg lengths, between which a body is not on its
+feet alone: standing 1.2, sitting on crossed legs 0.7, negative on the hands."""
 _LEAST_FRAMES = 10
 
 
 def support_findings(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> list[Finding]:
-    """Findings about feet at several heights, and about postures that feet cannot support.
+    """Return findings about feet at several heights, and postures that feet cannot support.
 
     Args:
-        motion: one clip, z up, without a batch axis.
-        body: whose motion it is.
+        motion: motion of one clip, z up, without a batch axis.
+        body: body model of the motion.
         observed: joints that the data shows; None means all.
     """
     movement = Movement.of(motion, body, observed)
@@ -154,12 +154,12 @@ def support_findings(
     rests = (
         (beside & (speed < _MAX_STANDING_SPEED_M_S), "rests beside its feet",
          "sitting, lying or leaning on something"),
-        ((above > _INVERTED) & (above < _SEATED), "has its pelvis low over its feet",
+        ((above > _MIN_SEAT_LEGS) & (above < _MAX_SEAT_LEGS), "has its pelvis low over its feet",
          "sitting, kneeling, squatting or lying"),
     )  # fmt: skip
     found = _uneven_ground(movement)
     for resting, what, how in rests:
-        if frames := stretches(resting, np.nextafter(_LEAST_REST * movement.fps, np.inf)):
+        if frames := stretches(resting, np.nextafter(_MIN_REST_S * movement.fps, np.inf)):
             seconds = sum(last - first + 1 for first, last in frames) / movement.fps
             said = (
                 f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: contacts are told "
@@ -170,7 +170,7 @@ def support_findings(
 
 
 def _uneven_ground(movement: Movement) -> list[Finding]:
-    """A finding if feet stand at several heights."""
+    """Return a finding if feet stand at several heights."""
     lower, rows = movement.sole_heights.argmin(1), np.arange(movement.frames)
     height = movement.sole_heights[rows, lower]
     speeds = [
@@ -178,11 +178,11 @@ def _uneven_ground(movement: Movement) -> list[Finding]:
         for part in (movement.toes, movement.ankles)
     ]
     still = np.minimum(*speeds)[rows, lower] < _MAX_STANDING_SPEED_M_S
-    known = still & (movement.joints[:, 0, 2] > height + _BELOW * movement.leg)
+    known = still & (movement.joints[:, 0, 2] > height + _MIN_PELVIS_LEGS * movement.leg)
     if known.sum() < _LEAST_FRAMES:
         return []
     floor = float(np.quantile(height[known], 0.1))
-    above = known & (height > floor + _LEVELS)
+    above = known & (height > floor + _MIN_LEVEL_M)
     long = stretches(above, _MIN_LEVEL_S * movement.fps)
     if not long or above.sum() < _MIN_LEVEL_SHARE * known.sum():
         return []
@@ -197,40 +197,40 @@ def _uneven_ground(movement: Movement) -> list[Finding]:
     ]
 
 
-_SLOWEST = 0.4
-"""Metres per second of a belt; feet that slip are slower."""
+_MIN_BELT_M_S = 0.4
+"""Least speed (m/s) of a belt; feet that slip are slower."""
 _SOLE_HEIGHT_M = 0.03
-"""Metres above the ground up to which a sole is on it."""
+"""Height (m) above the ground up to which a sole is on it."""
 _MAX_RELATIVE_DEVIATION = 0.2
 """Relative deviation from the belt's velocity up to which a foot is carried by it."""
-_STEADY_LEAST = 0.2
-"""Deviation from the velocity of slow belts up to which a foot is carried by them, m/s."""
+_MIN_DEVIATION_M_S = 0.2
+"""The same in m/s, if that is more, as for slow belts."""
 _MIN_CARRIED_SHARE = 0.55
-"""Share of the moments with a sole on the ground in which it must move with the belt."""
-_STANDING = 0.3
-"""Metres per second below which a foot stands in the room."""
+"""Share of the frames with a sole on the ground in which it must move with the belt."""
+_STILL_M_S = 0.3
+"""Speed (m/s) below which a foot stands in the room."""
 _STANDING_SHARE = 0.15
-"""Share of the moments with a sole on the ground in which it may stand in the room."""
-_STAYS = 0.35
-"""Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
+"""Largest share of the frames with a sole on the ground in which it may stand in the room."""
+_MAX_DRIFT_RATIO = 0.35
+"""Mean speed of the pelvis over that of the belt, up to which the body stays in place."""
 _MIN_CONTACT_S = 0.15
-"""Seconds for which each foot must touch the ground."""
+"""Time (s) for which each foot must touch the ground."""
 _MIN_PELVIS_HEIGHT_LEGS = 0.7
-"""Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
+"""Least median height of the pelvis above the ground, in leg lengths, of walks and runs."""
 
 
 def belt_velocity(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> Float[Tensor, " 2"] | None:
-    """Horizontal velocity of the belt under a motion's feet, m/s, or None where there is none.
+    """Return the horizontal velocity (m/s) of a treadmill's belt; None if there is none.
 
-    Feet are taken as standing by their height alone, since on a belt none stands still. Both are
-    carried at one velocity against the way the person faces, and the body stays in the room.
+    Feet count as standing by their height alone, since on a belt none stands still. Both move at
+    one velocity, against the direction that the person faces, and the body stays in the room.
 
     Args:
-        motion: one clip, z up, without a batch axis.
-        body: whose motion it is.
-        observed: joints that the data shows.
+        motion: motion of one clip, z up, without a batch axis.
+        body: body model of the motion.
+        observed: joints that the data shows; None means all.
     """
     movement = Movement.of(motion, body, observed)
     if movement.frames < 3:
@@ -255,23 +255,23 @@ def belt_velocity(
     ]
     belt = np.median(every[_close_velocities(every, best)], axis=0)
     speed = float(np.linalg.norm(belt))
-    if speed < _SLOWEST:
+    if speed < _MIN_BELT_M_S:
         return None
     carried = _close_velocities(velocity, belt)
     shares = [carried[standing[:, side], side].mean() for side in (0, 1)]
-    still = (np.linalg.norm(velocity[standing], axis=-1) < _STANDING).mean()
+    still = (np.linalg.norm(velocity[standing], axis=-1) < _STILL_M_S).mean()
     drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / (
         movement.frames / movement.fps
     )
     facing = movement.forward.mean(0) @ belt / speed
-    stays = float(np.linalg.norm(drift)) < _STAYS * speed
+    stays = float(np.linalg.norm(drift)) < _MAX_DRIFT_RATIO * speed
     if min(shares) < _MIN_CARRIED_SHARE or still > _STANDING_SHARE or not stays or facing > 0:
         return None
     return torch.from_numpy(belt).to(motion.translation)
 
 
 def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
-    """The finding about a belt of this velocity, m/s."""
+    """Return the finding about a treadmill whose belt has this velocity (m/s)."""
     speed = float(belt.norm())
     return Finding(
         "treadmill",
@@ -284,24 +284,24 @@ def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
 def _close_velocities(
     velocity: Float[np.ndarray, "*shape 2"], belt: Float[np.ndarray, " 2"]
 ) -> Bool[np.ndarray, "*shape"]:
-    reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
+    reach = max(_MIN_DEVIATION_M_S, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
     return np.linalg.norm(velocity - belt, axis=-1) < reach
 
 
 def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
-    """Points from the room's frame in the frame of a treadmill's belt (velocity in m/s)."""
+    """Transform points from the room's frame to that of a treadmill's belt (velocity in m/s)."""
     path = _path_of_belt(points.positions.shape[-3], points.fps, points.start_time, belt)
     moved = points.positions - path.to(points.positions)[:, None]
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
 
 def motion_in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
-    """A motion from the frame of a treadmill's belt in the room's; the inverse with -belt."""
+    """Transform a motion from the frame of a treadmill's belt to the room's; inverse: -belt."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
 
 
 def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
-    """Distance that the belt has moved at every frame of a motion, metres."""
+    """Return the displacement (m) of the belt at every frame of a motion."""
     path = _path_of_belt(motion.frames, motion.fps, motion.start_time, belt)
     return path.to(motion.translation)
 

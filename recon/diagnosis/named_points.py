@@ -1,4 +1,4 @@
-"""Tracked points in space, each with a name and a bone, and distances between them."""
+"""Tracked 3D points of one clip, each with a name and a bone, and distances between them."""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,14 +13,14 @@ from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
 
-_MIRRORED_WITHIN = 0.04
-"""Metres between a point's mirror image at rest and its counterpart on the other side; markers
-are not placed more alike than this."""
+_MAX_MIRROR_ERROR_M = 0.04
+"""Distance (m) between a point's mirror image at rest and its counterpart on the other side;
+markers are not placed more alike than this."""
 _MIN_PAIR_LENGTH_M = 0.1
-"""Metres of distance at rest from which on a pair of points is used for the size of a body."""
+"""Distance (m) at rest from which on a pair of points is used for the size of a body."""
 _MIN_PAIRS, _MIN_MOMENTS = 4, 3
 _MAX_SPREAD_RATIO = 0.5
-"""Share of its error up to which a length may vary where a joint is misplaced by a constant."""
+"""Variation of a bone's length, as a share of its error, up to which the error is constant."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class NamedPoints:
     visible: Bool[np.ndarray, "moments points"]
     names: tuple[str, ...]
     bones: tuple[int, ...]
-    """The body joint whose bone carries each point."""
+    """Index of the body joint whose bone carries each point."""
     rest: Float[np.ndarray, "points 3"]
     """Positions of the points on the average body in its rest pose, metres."""
     fps: float
     given: TrackedPoints
-    """The observation that they come from."""
+    """The observation that the points come from."""
     are_joints: bool
     """Whether the points are joints and keypoints rather than markers on the skin."""
     rigid: tuple[tuple[int, int], ...] | None = None
@@ -47,7 +47,7 @@ class NamedPoints:
 
     @classmethod
     def of(cls, observation: TrackedPoints, body: BodyModel) -> "NamedPoints":
-        """The points of a sensor with one clip, without the batch axis."""
+        """Take the points of a sensor with one clip, without the batch axis."""
         return cls(
             positions=observation.positions[0].double().numpy(),
             visible=observation.visible[0].numpy(),
@@ -63,7 +63,7 @@ class NamedPoints:
 
     @property
     def observation(self) -> TrackedPoints:
-        """The sensor with these positions; zero where not visible."""
+        """The sensor's observation with these positions; zero where not visible."""
         positions = self.positions * self.visible[..., None]
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
         return self.given.replace(
@@ -73,13 +73,13 @@ class NamedPoints:
         )
 
     def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
-        """The points, with some of them marked as not visible."""
+        """Return the points with some of them marked as not visible."""
         return replace(self, visible=self.visible & ~hidden)
 
     def swapped(
         self, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
-        """The points, with the positions of two points exchanged at some moments."""
+        """Return the points with the positions of two points exchanged in some frames."""
         order = list(range(len(self.names)))
         order[pair[0]], order[pair[1]] = pair[1], pair[0]
         return self.permuted(tuple(order), moments)
@@ -87,7 +87,7 @@ class NamedPoints:
     def permuted(
         self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
-        """The points, where at some moments point k gets the position of point order[k]."""
+        """Return the points where, in some frames, point k gets the position of point order[k]."""
         index, when = list(order), moments[:, None]
         return replace(
             self,
@@ -100,7 +100,7 @@ class NamedPoints:
     def counterparts(self) -> tuple[int, ...]:
         """Index of every point's left-right counterpart; its own index if it has none.
 
-        Joints and landmarks of the bundled body come in pairs; the rest pose is symmetric.
+        Joints and landmarks of the bundled body come in pairs, as the rest pose is symmetric.
         """
         central = [k for k, bone in enumerate(self.bones) if MIRROR[bone] == bone]
         image = self.rest * np.array([-1.0, 1.0, 1.0])
@@ -110,13 +110,13 @@ class NamedPoints:
         away[~bones_match] = np.inf
         nearest = away.argmin(1)
         return tuple(
-            int(j) if away[k, j] < _MIRRORED_WITHIN and nearest[j] == k else k
+            int(j) if away[k, j] < _MAX_MIRROR_ERROR_M and nearest[j] == k else k
             for k, j in enumerate(nearest)
         )
 
     @property
     def centre(self) -> Float[np.ndarray, "moments 3"]:
-        """Median of the visible points at every moment; NaN where there is none."""
+        """Median of the visible points in every frame (m); NaN where there is none."""
         there = np.any(self.visible, axis=1, keepdims=True)
         shown = np.where(self.visible[..., None], self.positions, np.nan)
         middle = np.nanmedian(np.where(there[..., None], shown, 0.0), axis=1)
@@ -125,26 +125,26 @@ class NamedPoints:
 
 @dataclass(frozen=True)
 class PredictedPoints:
-    """Observed named points beside their positions on the fitted body."""
+    """Observed named points, their positions on the fitted body, and the differences."""
 
     points: NamedPoints
     positions: Float[np.ndarray, "moments points 3"]
-    """Predicted positions in the frame of the recording, metres; beyond the body's frames those of
-    the nearest one."""
+    """Positions (m) on the fitted body, in the recording's frame; beyond the body's frames those
+    of the nearest one."""
     away: Float[np.ndarray, "moments points"]
-    """Distance of every visible point from its place, metres; NaN where not visible."""
+    """Distance (m) of every visible point from its place on the body; NaN where not visible."""
     typical: Float[np.ndarray, " points"]
-    """Its median over time, metres; zero for points that were never seen."""
+    """Median of `away` over time (m); zero for points that were never seen."""
     offset: Float[np.ndarray, "points 3"]
-    """Median offset of a point from its place, in the frame of its bone, metres; zero likewise."""
+    """Median offset (m) of each point from its place, in its bone's frame; zero if never seen."""
     spread: Float[np.ndarray, " points"]
-    """Median distance of single offsets from that, metres."""
+    """Median distance (m) of the offsets in single frames from the median offset."""
 
     @classmethod
     def of(
         cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate
     ) -> "PredictedPoints":
-        """Predict the points from an estimate at the moments of the observation."""
+        """Compute the points' places on the estimated body in the observation's frames."""
         moments = observed.positions.shape[-3]
         with torch.no_grad():
             there, seen = at_observation_times(
@@ -170,7 +170,7 @@ class PredictedPoints:
 
 
 def relative_body_size(points: NamedPoints) -> float | None:
-    """Size of the body relative to the average: median ratio of distances along bones.
+    """Return the body's size relative to the average: median ratio of distances along bones.
 
     None where too few such distances are seen.
     """
@@ -185,12 +185,12 @@ def relative_body_size(points: NamedPoints) -> float | None:
 
 
 def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
-    """Mask of joints whose bones to all neighbours are longer or shorter than a person's.
+    """Return a mask of joints whose bones to all neighbours have lengths that no person's have.
 
     Args:
-        points: joints; for markers the answer is always no.
-        limit: metres by which the median length of each bone differs from the average body's
-            of the same size.
+        points: joints; for markers the mask is false.
+        limit: error (m) of the median length of each bone, against the average body scaled to
+            the same size, above which it is implausible.
     """
     wrong: list[list[bool]] = [[] for _ in points.names]
     ratio = relative_body_size(points) or 0.0
@@ -207,7 +207,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
 
 
 def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Pairs of joints at the ends of each bone, parent first; or the given rigid pairs."""
+    """Return pairs of joints at the ends of each bone, parent first; or the given rigid pairs."""
     if points.rigid is not None:
         return list(points.rigid)
     bones = list(enumerate(points.bones))
@@ -215,17 +215,17 @@ def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 
 
 def same_bone_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Pairs of points that lie on the same bone."""
+    """Return pairs of points that lie on the same bone."""
     return [(a, b) for a, b in combinations(range(len(points.bones)), 2)
             if points.bones[a] == points.bones[b]]  # fmt: skip
 
 
 def distances(points: NamedPoints, a: int, b: int) -> Float[np.ndarray, " moments"]:
-    """Distances between two points, metres, wherever both are seen."""
+    """Return distances (m) between two points in the frames where both are seen."""
     both = points.visible[:, a] & points.visible[:, b]
     return np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
 
 
 def rest_length(points: NamedPoints, a: int, b: int) -> float:
-    """Distance of two points on the average body in its rest pose, metres."""
+    """Return the distance (m) of two points on the average body in its rest pose."""
     return float(np.linalg.norm(points.rest[a] - points.rest[b]))

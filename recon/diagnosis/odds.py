@@ -1,8 +1,8 @@
-"""Finds the view that contradicts the others, with the likeliest cause and a correction.
+"""Finds a camera view that contradicts the others, its likeliest cause and a correction.
 
-Points that the other views see are compared with the rays of the view. An explanation that
-brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
-back is left out where the other views agree, and warned of otherwise.
+Points that the other views triangulate are compared with the rays of the view. An explanation that
+reduces their distance to the noise of the keypoints is certain, and its correction is applied. A
+view without such an explanation is left out where the others agree, else it gets a warning.
 """
 
 from dataclasses import replace
@@ -24,35 +24,35 @@ from recon.diagnosis.findings import (
 from recon.diagnosis.images import Images
 from recon.diagnosis.rigs import TwoViewCorrection, best_agreement, corrected_rig, median_miss
 
-_FLOOR = 2.2
-"""Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
-of two others, at most; validation windows have 1.4 to 2.1."""
-_PAIR_FLOOR = 0.8
-"""Distance, in standard deviations of the keypoints, by which rays of two good views miss the
-points triangulated from both; validation windows have 0.5."""
-_ALL_FLOOR = 1.2
-"""Distance, in standard deviations of the keypoints, by which rays of all of three or more good
-views miss their points; validation windows have 0.8."""
-_WORSE = 1.3
-"""Multiple of that floor from which on a view is looked into."""
-_AT_ODDS = 0.095
-"""Metres from which on a view is called at odds whatever its noise: real recordings with a
+_MISS_STDS = 2.2
+"""Largest distance, in standard deviations of the keypoints, between the rays of a good view and
+the points of two others; validation windows have 1.4 to 2.1."""
+_PAIR_MISS_STDS = 0.8
+"""The same between the rays of two good views and the points triangulated from both; validation
+windows have 0.5."""
+_ALL_MISS_STDS = 1.2
+"""The same between the rays of three or more good views and the points triangulated from all;
+validation windows have 0.8."""
+_SUSPECT_RATIO = 1.3
+"""Ratio to this distance from which on a view is examined."""
+_MIN_ODDS_M = 0.095
+"""Distance (m) from which on a view is called at odds whatever its noise: real recordings with a
 usable calibration (Pose2Sim's) stay below 0.087."""
-_PAIR_AT_ODDS = 0.06
-"""Metres by which rays of two views miss their common points, from which on they are called at
-odds; usable calibrations stay below 0.032."""
-_AWAY = 0.2
-"""Metres by which a view must miss the others for a stretch to be left out."""
-_STRETCH = 0.15
-"""Seconds that such a stretch lasts at least."""
-_SIMPLER = 1.15
-"""Multiple of the least remaining error within which the simplest explanation is preferred."""
+_MIN_PAIR_ODDS_M = 0.06
+"""The same between the rays of two views and their common points; usable calibrations stay below
+0.032."""
+_STRETCH_MISS_M = 0.2
+"""Distance (m) by which a view must miss the others for a stretch to be left out."""
+_MIN_STRETCH_S = 0.15
+"""Least duration (s) of such a stretch."""
+_SIMPLER_RATIO = 1.15
+"""Ratio to the least remaining error up to which the simplest explanation is preferred."""
 _MAX_MIRRORED_RATIO = 0.6
-"""Mirrored images must fit together with less than this share of the error."""
+"""Ratio to which mirroring or another correction must reduce the error."""
 
 
 def noise_of_views(images: Images) -> float:
-    """Standard deviation of keypoints at the body, metres: the median over the views."""
+    """Return the standard deviation of keypoints (m at the body), as the median over views."""
     own = (images.noise / np.median(images.scale, -1))[images.seen.any((1, 2))]
     return float(np.median(own)) if own.size and np.isfinite(own).all() else 0.0
 
@@ -71,7 +71,7 @@ def checked_against_each_other(images: Images) -> tuple[Images, Findings]:
 
 
 def mirroring_repaired(images: Images) -> tuple[Images, Findings]:
-    """Mirror images that agree only when mirrored, as front cameras of phones write them."""
+    """Mirror all images if they agree only when mirrored, as a front camera writes them."""
     turned, said, sure = mirrored_together(images)
     if said is None:
         return images, NOTHING
@@ -82,18 +82,20 @@ def mirroring_repaired(images: Images) -> tuple[Images, Findings]:
 
 
 def mirror_warnings(images: Images) -> tuple[Finding, ...]:
-    """Warnings about images that agree better when mirrored but were not changed."""
+    """Return warnings about images that agree better when mirrored but were not changed."""
     said = mirrored_together(images)[1]
     todo = "mirror the videos back before keypoints are detected"
     return () if said is None else (replace(said, message=f"{said.message}; {todo}"),)
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """The mirrored images, a finding if these agree better, and whether they agree fully.
+    """Mirror all images; also return a finding if they agree better, and whether fully.
 
-    One view is not enough: it shows what the mirrored person would have done.
+    One view is not enough, as it shows what the mirrored person would have done.
     """
-    floor = noise_of_views(images) * (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR)
+    floor = noise_of_views(images) * (
+        _PAIR_MISS_STDS if len(images.names) == 2 else _ALL_MISS_STDS
+    )
     turned = mirrored(images, list(range(len(images.names))))
     given, other = median_miss(images), median_miss(turned)
     if given < max(floor, 0.002) or other > _MAX_MIRRORED_RATIO * given:
@@ -108,7 +110,7 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
 def single_view_explained(images: Images) -> tuple[Images, Findings]:
     """Correct a view that agrees with the others only when mirrored or scaled.
 
-    Looked for before names are, as wrong pixels make names look wrong.
+    This precedes the checks of names, as wrong pixels make names look wrong.
     """
     if len(images.names) < 3:
         return images, NOTHING
@@ -119,12 +121,12 @@ def _one_view_corrected(
     images: Images, noise: float, causes: tuple[Cause, ...]
 ) -> tuple[Images, Findings]:
     """Correct the one view after whose correction all views agree within the noise."""
-    floor, best = _FLOOR * noise, np.inf
+    floor, best = _MISS_STDS * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):
         odd = DoubtedView.of(images, v)
         before = odd.miss()
-        if before < _WORSE * floor or floor == 0:
+        if before < _SUSPECT_RATIO * floor or floor == 0:
             continue
         rest = median_miss(images.view([k for k in range(len(images.names)) if k != v]))
         chosen = _simplest_explanation(odd.explained(causes))
@@ -141,10 +143,10 @@ def _one_view_corrected(
 
 def _simplest_explanation(options: list[ExplainedView]) -> ExplainedView:
     least = min(option.remains for option in options)
-    return next(option for option in options if option.remains <= _SIMPLER * least)
+    return next(option for option in options if option.remains <= _SIMPLER_RATIO * least)
 
 
-_SOMEBODY = (
+_OTHER_PERSON = (
     "Likeliest it shows another person, or the files and cameras of two views are mixed up; check "
     "who is followed (--person) and which calibration belongs to which view"
 )
@@ -170,16 +172,16 @@ _CAUSES: dict[Cause, tuple[Code, str, str]] = {
         "view at odds",
         "its camera stands {:.2f} m from where the calibration has it; the pose was corrected. "
         "Calibrate anew",
-        _SOMEBODY,
+        _OTHER_PERSON,
     ),
     "moving": (
         "camera moves",
         "its camera, declared fixed, turns by {:.1f} degrees during the clip; its poses were "
         "estimated. Fix the camera, or give a pose for every frame",
-        _SOMEBODY,
+        _OTHER_PERSON,
     ),
 }
-"""What may be wrong with a view, the simplest first: code, what was undone, what to do."""
+"""What may be wrong with a view, the simplest first: code, description of the repair, advice."""
 
 
 def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, Findings]:
@@ -188,13 +190,13 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
     rest = [median_miss(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))
     odd, name = DoubtedView.of(images, v), images.names[v]
-    before, agree = odd.miss(), 0 < rest[v] <= _FLOOR * noise
+    before, agree = odd.miss(), 0 < rest[v] <= _MISS_STDS * noise
     hidden = np.zeros_like(images.seen)
-    if before > _AT_ODDS:
+    if before > _MIN_ODDS_M:
         hidden[v], frames, size = True, (), before
         least = _simplest_explanation(odd.explained(tuple(_CAUSES)))
         clear = least.remains < _MAX_MIRRORED_RATIO * before
-        hint = _CAUSES[least.cause][2] if clear else _SOMEBODY
+        hint = _CAUSES[least.cause][2] if clear else _OTHER_PERSON
         said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"
         left_out = f"{said}, while they agree with each other; it was left out. {hint}"
         warned = f"{said}. {hint}"
@@ -202,7 +204,7 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
         miss = odd.misses()
         away = np.array([np.median(row[known]) if known.any() else 0.0
                          for row, known in zip(miss, np.isfinite(miss), strict=True)])  # fmt: skip
-        hidden[v] = lasting(away > _AWAY, round(_STRETCH * images.fps))[:, None]
+        hidden[v] = lasting(away > _STRETCH_MISS_M, round(_MIN_STRETCH_S * images.fps))[:, None]
         if not hidden.any():
             return images, NOTHING
         frames = stretches(hidden[v, :, 0])
@@ -220,9 +222,9 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
 
 
 def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
-    """Two views that contradict each other: clocks can be corrected, poses only reported."""
-    given, floor = median_miss(images), _PAIR_FLOOR * noise
-    if given <= max(_WORSE * floor, 0.002):
+    """Check two views for contradictions: clocks can be corrected, poses are only reported."""
+    given, floor = median_miss(images), _PAIR_MISS_STDS * noise
+    if given <= max(_SUSPECT_RATIO * floor, 0.002):
         return images, NOTHING
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
@@ -237,7 +239,7 @@ def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
         done = Finding("views out of step", text, value=late, sensors=sensors)
         return timed.images, Findings((done,))
     turned, both = best_agreement(images, ("pose",)), best_agreement(images, ("clock", "pose"))
-    if both.remains < turned.remains / _SIMPLER:
+    if both.remains < turned.remains / _SIMPLER_RATIO:
         turned = both
     code: Code = "view at odds"
     if turned.remains <= floor and turned.remains < _MAX_MIRRORED_RATIO * given:
@@ -248,7 +250,7 @@ def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
             "which of them, so nothing was changed. Calibrate anew, see that the frames of both "
             "are numbered from the same moment, or add a view"
         )
-    elif given <= _PAIR_AT_ODDS:
+    elif given <= _MIN_PAIR_ODDS_M:
         return images, NOTHING
     elif clear:
         code, text = "views out of step", f"{said}; it seems that {by}"

@@ -52,29 +52,29 @@ from recon.diagnosis.quick_fit import (
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 
 _MIN_POSITIONS = 12
-"""Visible positions without which nothing is checked."""
-_WRONG_SIDES = 0.75
-"""Share of the cost of the names as given, below which exchanged sides are the right ones."""
-_CLEARLY_BETTER = 0.9
-"""Share of the cost below which two points that exchange their names are the right ones."""
+"""Number of visible positions below which nothing is checked."""
+_SIDES_RATIO = 0.75
+"""Ratio of the costs of fits with and without exchanged sides, below which they are exchanged."""
+_PAIR_RATIO = 0.9
+"""The same ratio for two points that exchange their names."""
 _MAX_MISPLACED_SHARE = 0.1
-"""Share of the points that may be misplaced; if more seem to be, the body is."""
+"""Share of the points that may be misplaced; if more seem to be, the fit is wrong."""
 _KERNEL_STDS, _MIN_KERNEL_M = 4.0, 0.05
-"""Scale of the robust kernel where there are outliers: in standard deviations of a coordinate,
-and metres at least, as a smaller scale would take the model's own error for outliers."""
+"""Scale of the robust kernel where there are outliers: in standard deviations of a coordinate, and
+metres at least, as a smaller scale would take the model's own error for outliers."""
 
 Screened = tuple[TrackedPoints, Findings, Float[Tensor, " 2"] | None, Motion | None]
-"""Points as they should be fitted; what was found; the velocity of the treadmill under the feet,
-m/s, where there is one; and the motion of the quick fit (1, time), where it is one of a person."""
+"""Points to be fitted; findings; the velocity (m/s) of a treadmill's belt, if any; and the motion
+of the quick fit (1, time), if it resembles a person."""
 
 
 def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = True) -> Screened:
     """Check one clip's joints or markers, and repair what can be repaired surely.
 
-    In this order: what repeats bit for bit, the order of frames, sides and single pairs that
-    change names within the clip, jumps of the whole body, its size, sides exchanged throughout,
-    and, against a quick robust fit, two points exchanged, points away from their place, outliers
-    and the ground, unless there is none (`grounded`).
+    The order is: exact repetitions, the order of frames, sides and single pairs that change names
+    within the clip, jumps of the whole body, its size, sides exchanged throughout, and, against a
+    quick robust fit, exchanged pairs, points away from their place, outliers and the ground (only
+    if `grounded`).
     """
     exact = (repaired_zeros, repaired_copies, repaired_held)
     named, found = run_checks(NamedPoints.of(points, body), exact)
@@ -113,13 +113,13 @@ def _names_repaired(
 
 
 def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, int], ...]:
-    """Pairs of points that carry each other's name throughout; mostly none.
+    """Return pairs of points that carry each other's name throughout; mostly none.
 
-    The lengths of bones suggest what, and quick fits must confirm it.
+    Bone lengths suggest candidates, which quick fits must confirm.
 
     Args:
-        points: without outliers.
-        body: that is to be fitted.
+        points: points without outliers.
+        body: body model to be fitted.
     """
     groups, always = crossed_limbs(points), np.ones(len(points.visible), dtype=bool)
     if (pair := exchanged_throughout(points)) is not None:
@@ -131,25 +131,25 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
     excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
-    return groups[best - 1] if best and costs[best] <= _CLEARLY_BETTER * costs[0] else ()
+    return groups[best - 1] if best and costs[best] <= _PAIR_RATIO * costs[0] else ()
 
 
 def _sides_repaired(
     steady: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Find by fits which naming of left and right is true, in points that no longer jump.
+    """Decide by quick fits which naming of left and right is true throughout.
 
     Args:
-        steady: with left and right exchanged at the moments `exchanged`.
-        exchanged: where sides jumped, relative to the first moment.
-        body: that is to be fitted.
+        steady: points with left and right exchanged in the frames `exchanged`.
+        exchanged: frames in which sides are exchanged relative to the first frame.
+        body: body model to be fitted.
     """
     order, given = steady.counterparts, without_implausible(steady).observation
     if all(k == other for k, other in enumerate(order)):
         return steady, quick_fits([given], body)[0], NOTHING
     opposite = steady.permuted(order, np.ones_like(exchanged))
     fits = quick_fits([given, without_implausible(opposite).observation], body)
-    best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
+    best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _SIDES_RATIO))
     wrong = exchanged if best.points is given else ~exchanged
     right, found = (steady if best.points is given else opposite), NOTHING
     if wrong.all():
@@ -177,7 +177,7 @@ def _sides_repaired(
 def _pairs_repaired(
     named: NamedPoints, fitted: QuickFit, body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Exchange pairs of points back whose names are exchanged for a while."""
+    """Undo exchanges of two points' names that last for a while, found by a quick fit."""
     found, noise = NOTHING, temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
@@ -196,7 +196,7 @@ def _pairs_repaired(
 def exchanged_back(
     named: NamedPoints, pairs: Sequence[tuple[int, int]], moments: Bool[np.ndarray, " moments"]
 ) -> tuple[NamedPoints, Findings]:
-    """The points with the labels of pairs exchanged in some frames, and the finding about it."""
+    """Exchange the labels of pairs of points in some frames; also return the finding."""
     names = tuple(named.names[k] for pair in pairs for k in pair)
     frames = () if moments.all() else stretches(moments)
     when = f" ({spans(frames)})" if frames else ""

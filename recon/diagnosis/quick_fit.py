@@ -28,20 +28,20 @@ from recon.solver.lbfgs import LBFGS
 S = TypeVar("S", bound=Sensor)
 
 _BODY_RADIUS_M = 1.4
-"""Metres from the middle of a body within which all of its points lie, arms stretched."""
-_SPIKE = 0.5
-"""Metres by which a point may be away from its own median over a quarter of a second; hands that
-punch and feet that kick turn around within less."""
-_HALF_WINDOW = 0.12
-"""Seconds to either side over which that median is taken."""
-_MOST_FRAMES = 7
-"""Frames to either side that it is taken of at most, spread over those seconds."""
+"""Distance (m) from a body's median point within which all of its points lie, arms stretched."""
+_MAX_SPIKE_M = 0.5
+"""Distance (m) by which a point may be away from its own median over a quarter of a second; hands
+that punch and feet that kick turn around within less."""
+_HALF_WINDOW_S = 0.12
+"""Time (s) before and after each frame over which that median is taken."""
+_MAX_HALF_FRAMES = 7
+"""Largest number of frames before and after that it uses, evenly spread over that time."""
 
 
 def without_implausible(points: NamedPoints) -> NamedPoints:
-    """The points without those far from all others and those that jump away from their path."""
+    """Mark points as unseen that are far from all others or jump away from their path."""
     away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
-    return points.without(_far_from_others(points) | (np.nan_to_num(away) > _SPIKE))
+    return points.without(_far_from_others(points) | (np.nan_to_num(away) > _MAX_SPIKE_M))
 
 
 def _far_from_others(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
@@ -50,9 +50,9 @@ def _far_from_others(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
 
 
 def smoothed(points: NamedPoints) -> NamedPoints:
-    """Running medians of the points over a quarter of a second, which outliers do not move.
+    """Return running medians of the points over a quarter of a second, robust to outliers.
 
-    They have no standard deviations: medians exist where points were not seen as well.
+    They have no standard deviations, as medians also exist where points were not seen.
     """
     median = _running_median(points.without(_far_from_others(points)))
     known = np.isfinite(median[..., 0])
@@ -61,9 +61,9 @@ def smoothed(points: NamedPoints) -> NamedPoints:
 
 
 def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
-    """Median of every coordinate in a window about each moment; NaN where nothing is visible."""
-    every = max(int(_HALF_WINDOW * points.fps) // _MOST_FRAMES, 1)
-    half = max(int(_HALF_WINDOW * points.fps) // every, 1) * every
+    """Return the median of every coordinate in a window about each frame; NaN if unseen."""
+    every = max(int(_HALF_WINDOW_S * points.fps) // _MAX_HALF_FRAMES, 1)
+    half = max(int(_HALF_WINDOW_S * points.fps) // every, 1) * every
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
@@ -71,17 +71,18 @@ def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"
 
 
 ROBUST_SCALE = 0.15
-"""Metres beyond which a point counts ever less: several times what the pose prior misses good
-points by, and less than the distance of two points that are confused."""
-_EXCERPT = 6.0
-"""Seconds of a recording that are enough to decide which of two versions is a body."""
-_AT_NOISE = 0.95
-"""Share of ½ · 3 · noise², the cost of noise alone, up to which a version is taken to be right.
-Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation people)."""
+"""Distance (m) beyond which a point counts ever less: several times the error of the pose prior at
+good points, and less than the distance of two points that are confused."""
+_EXCERPT_S = 6.0
+"""Length (s) of the part of a recording that is enough to decide which version is a body."""
+_MAX_NOISE_COST = 0.95
+"""Ratio of the cost to ½ · 3 · noise², the cost of noise alone, up to which a version is taken to
+be right. Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation
+people)."""
 QUICK_PACE = 15.0
 """Frames per second of quick fits: half as many as a fit works on find the same start."""
-_SHAPE = 1e-4
-"""Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
+_SHAPE_WEIGHT = 1e-4
+"""Weight of the shape prior: unlike in a fit, an odd body must not explain a misplaced point."""
 _ITERATIONS, _ITERATIONS_OF_OTHERS = 40, 12
 """Largest numbers of iterations for the version as given and for other ones: a right version is
 found within 5, and a wrong one goes on for long."""
@@ -93,24 +94,24 @@ class QuickFit:
 
     points: TrackedPoints
     estimate: Estimate
-    """The motion that most of the points agree on, one clip."""
+    """Motion and scene of the fit, for one clip."""
     cost: float
-    """Objective per visible point as at 30 Hz, metres²; of an excerpt of a long recording."""
+    """Objective per visible point as at 30 Hz (m²); of an excerpt if the recording is long."""
 
 
 def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[QuickFit]:
     """Fit versions of one clip's points with robust residuals under the pose prior.
 
-    Costs may be compared, as all versions see the same moments. Where the first one fits as well
-    as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
-    only the version of the least cost is fitted whole, and only that one is returned.
+    Costs may be compared, as all versions see the same frames. If the first one fits as well as
+    its noise allows, no other can be clearly better, and only it is fitted. Of a long recording
+    only the version of the least cost is fitted in full, and only that fit is returned.
     """
     given, versions = versions, [paced(one, QUICK_PACE) for one in versions]
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [middle_seconds(one) for one in versions]
     fits = _fits_of_versions(excerpts[:1], method, body)
-    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
+    if len(versions) > 1 and fits[0].cost > _MAX_NOISE_COST * 1.5 * noise**2:
         fits += _fits_of_versions(
             excerpts[1:], partial(quick_stages, noise, max_iterations=_ITERATIONS_OF_OTHERS), body
         )
@@ -133,7 +134,7 @@ def _with_robust_kernel(points: TrackedPoints) -> TrackedPoints:
 def _fits_of_versions(
     versions: Sequence[TrackedPoints], method: Stages, body: BodyModel, start: Motion | None = None
 ) -> list[QuickFit]:
-    """Fits of all versions at once, from the medians of their points or from a given motion."""
+    """Fit all versions at once, starting from the medians of their points or a given motion."""
     robust = _with_robust_kernel(concatenate(list(versions)))
     if start is None:
         smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
@@ -148,13 +149,12 @@ def _fits_of_versions(
 
 
 def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
-    """The better of a quick fit and one that starts from a fit without a robust kernel.
+    """Return the better of a quick fit and one that starts from a fit with squared residuals.
 
-    A robust fit gives up on a limb that it begins too far from, and then blames its points: a
-    handspring's hands and planted feet were called misplaced. With squared residuals the limb
-    follows its points as far as its bones let it, and the robust fit that begins there has the
-    lower objective unless the points really are misplaced. Long recordings are left as they are:
-    no limb is lost throughout them.
+    A robust fit gives up on a limb that it starts too far from, so that its points look misplaced,
+    such as the hands of a handspring. With squared residuals the limb follows its points as far as
+    its bones let it, and a robust fit from there has the lower objective unless the points really
+    are misplaced. Long recordings are returned unchanged: no limb is lost throughout them.
     """
     if middle_seconds(fit.points) is not fit.points:
         return fit
@@ -169,15 +169,15 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
 def quick_stages(
     noise: float, data: tuple[Term, ...], *, max_iterations: int = _ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """The pose prior's last stage with few iterations, for errors of about a centimetre."""
-    prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
+    """Return the pose prior's last stage with few iterations, for errors of about a centimetre."""
+    prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE_WEIGHT))
     minimiser = LBFGS(max_iterations=max_iterations, tolerance_decrease=1e-3)
     return (replace(prior.stages(data)[-1], minimiser=minimiser),)
 
 
 def middle_seconds(sensor: S) -> S:
-    """The sensor in a few seconds around the median time of its data."""
-    length = round(_EXCERPT * sensor.fps) + 1
+    """Cut out a few seconds around the median time of a sensor's data."""
+    length = round(_EXCERPT_S * sensor.fps) + 1
     if sensor.moments <= length:
         return sensor
     counts = sensor.shown[0].sum(-1).double().cumsum(0)

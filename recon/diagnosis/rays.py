@@ -1,4 +1,4 @@
-"""Rays of several cameras through keypoints, and the paths of the points where they meet."""
+"""Rays of several cameras through keypoints, and trajectories of the triangulated points."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -9,23 +9,23 @@ from jaxtyping import Bool, Float
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.images import Images
 
-_LEAST_ANGLE = 0.03
-"""Radians between rays below which the depth of their meeting point is mostly noise."""
+_MIN_ANGLE_RAD = 0.03
+"""Angle (rad) between rays below which the depth of their meeting point is mostly noise."""
 
 
 @dataclass(frozen=True)
 class Rays:
-    """A line in the recording's frame for every keypoint of every view."""
+    """Rays from camera centres through keypoints, in the recording's frame (m)."""
 
     origin: Float[np.ndarray, "views moments 1 3"]
     direction: Float[np.ndarray, "views moments points 3"]
-    """Unit length."""
+    """Unit vectors."""
     weight: Float[np.ndarray, "views moments points"]
     """Squared confidence; 0 where not seen."""
 
     @classmethod
     def of(cls, images: Images) -> "Rays":
-        """Rays from the cameras through all keypoints."""
+        """Compute the rays of all keypoints from camera matrices and poses."""
         turn = images.pose[..., :3, :3]
         origin = -(images.pose[..., None, :3, 3] @ turn)
         return cls(origin, ray_directions(images) @ turn, images.confidence**2)
@@ -33,9 +33,9 @@ class Rays:
     def triangulated(
         self,
     ) -> tuple[Float[np.ndarray, "moments points 3"], Bool[np.ndarray, "moments points"]]:
-        """Triangulated points, and a mask of those that two views see under a sufficient angle.
+        """Triangulate points (m); also mask those that two views see under a sufficient angle.
 
-        The least Σ w |(I - d dᵀ)(x - o)|² over the views: a symmetric 3 x 3 system per point.
+        The minimum of Σ w |(I - d dᵀ)(x - o)|² over the views: a symmetric 3 x 3 system per point.
         """
         w, d = self.weight[..., None], self.direction
         matrix = np.einsum("vtp,ij->tpij", self.weight, np.eye(3))
@@ -45,21 +45,21 @@ class Rays:
         seen = self.weight > 0
         count = seen.sum(0)
         narrow = np.linalg.norm((seen[..., None] * d).sum(0), axis=-1) / np.maximum(count, 1)
-        exists = (count >= 2) & (2 * (1 - narrow) > (_LEAST_ANGLE / 2) ** 2)
+        exists = (count >= 2) & (2 * (1 - narrow) > (_MIN_ANGLE_RAD / 2) ** 2)
         matrix[~exists], vector[~exists] = np.eye(3), 0.0
         return np.linalg.solve(matrix, vector[..., None])[..., 0], exists
 
     def miss(
         self, points: Float[np.ndarray, "moments points 3"]
     ) -> Float[np.ndarray, "views moments points"]:
-        """Distance of points from the rays, metres."""
+        """Return distances (m) of points from the rays."""
         away = points - self.origin
         along = (away * self.direction).sum(-1, keepdims=True)
         return np.linalg.norm(away - along * self.direction, axis=-1)
 
 
 def ray_directions(images: Images) -> Float[np.ndarray, "views moments points 3"]:
-    """Directions of keypoints in the frames of their cameras, unit length."""
+    """Return unit vectors to keypoints in the frames of their cameras."""
     offset = images.pixels - images.matrix[:, None, None, :2, 2]
     inverse = np.linalg.inv(images.matrix[:, :2, :2])
     plane = offset @ np.swapaxes(inverse, -1, -2)[:, None]
@@ -72,13 +72,14 @@ _BONES = (
     ("shoulder", "hip"),
 )  # fmt: skip
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.7, 1.17
-"""Sizes against the average body, of 1.70 m: a child of 1.20 m, an adult of 2.00 m."""
-_MIN_MOMENTS = 10
-"""Moments at which a bone must be seen for its length to count."""
+"""Plausible sizes relative to the average body of 1.70 m: a child of 1.20 m, an adult of 2.00
+m."""
+_MIN_FRAMES = 10
+"""Number of frames in which a bone must be seen for its length to count."""
 
 
 def body_size(images: Images) -> float | None:
-    """Size of the triangulated body relative to the average; None if too little is seen."""
+    """Return the triangulated body's size relative to the average; None if too little is seen."""
     points, exists = Rays.of(images).triangulated()
     ratios: list[float] = []
     for side, bone in product(("left", "right"), _BONES):
@@ -86,14 +87,14 @@ def body_size(images: Images) -> float | None:
             a, b = map(images.points.index, names)
             both = exists[:, a] & exists[:, b]
             length = np.linalg.norm(points[both, a] - points[both, b], axis=-1)
-            if len(length) >= _MIN_MOMENTS:
+            if len(length) >= _MIN_FRAMES:
                 rest = np.linalg.norm(images.rest[a] - images.rest[b])
                 ratios.append(float(np.median(length) / rest))
     return float(np.median(ratios)) if len(ratios) >= 4 else None
 
 
 def scale_findings(images: Images) -> tuple[Finding, ...]:
-    """A warning if the triangulated body is larger or smaller than people are."""
+    """Return a warning if the triangulated body is larger or smaller than people are."""
     size = body_size(images) if len(images.names) > 1 else None
     if size is None or _MIN_SIZE_RATIO < size < _MAX_SIZE_RATIO:
         return ()
@@ -110,41 +111,41 @@ def scale_findings(images: Images) -> tuple[Finding, ...]:
 
 
 _PARABOLA_S = 0.07
-"""Seconds to either side over which the path of a point is taken for a parabola."""
+"""Time (s) before and after each frame over which a parabola is fitted to a point's path."""
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Triangulated points over time, each fitted by a parabola about every moment.
+    """Triangulated points over time, smoothed by a parabola about every frame.
 
-    Position and velocity of a least-squares parabola in its middle have uncorrelated errors, and
-    elsewhere such as are known. So an offset in time can be found without bias where the
-    residuals of a view are uncorrelated with the velocities of the points.
+    In the middle of a least-squares parabola, errors of position and velocity are uncorrelated;
+    elsewhere their correlation is known. So a time offset can be estimated without bias from the
+    residuals of a view and the velocities of the points.
     """
 
     position: Float[np.ndarray, "moments points 3"]
-    """Metres."""
+    """Positions (m) in the recording's frame."""
     velocity: Float[np.ndarray, "moments points 3"]
-    """Metres per frame."""
+    """Velocities in metres per frame."""
     acceleration: Float[np.ndarray, "moments points 3"]
-    """Metres per squared frame."""
+    """Accelerations in metres per squared frame."""
     covariance: Float[np.ndarray, "moments points 3 3"]
-    """Covariance of a position, for white noise of the keypoints, squared metres."""
+    """Covariance of a position (m²), for white noise of the keypoints."""
     velocity_noise: float
     """Variance of a velocity over that of a position, 1 / squared frames."""
     exists: Bool[np.ndarray, "moments points"]
-    """Whether the point was triangulated at all the moments of its parabola."""
+    """Whether the point was triangulated in all frames of its parabola."""
     disagreement: Float[np.ndarray, "moments points"]
-    """Sum of the squared residuals of the keypoints, in standard deviations; 0 where no point."""
+    """Sum of the squared residuals of the keypoints, in standard deviations; 0 if not seen."""
     noise: float
-    """Residuals of the keypoints over those of white noise, by their median."""
+    """Ratio of the keypoints' residuals to those of white noise, from their median."""
 
     @classmethod
     def of(cls, images: Images, noise: Float[np.ndarray, " views"]) -> "Trajectories":
-        """Fit parabolas to the points that at least two of the views see.
+        """Triangulate the points that at least two views see, and fit parabolas over time.
 
         Args:
-            images: the views.
+            images: keypoints and cameras of the views.
             noise: standard deviation of a pixel coordinate in every view.
         """
         points, exists = Rays.of(images).triangulated()
@@ -181,10 +182,10 @@ class Trajectories:
     def at(
         self, frames: Float[np.ndarray, " moments"]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions at fractional frame numbers, with velocities, covariances and a mask.
+        """Return positions, velocities, covariances and a mask at fractional frame numbers.
 
-        The error of a position so many frames from the middle of its parabola is correlated with
-        that of the velocity by as many times its variance.
+        The error of a position at t frames from the middle of its parabola is correlated with that
+        of the velocity: their covariance is t times the variance of the velocity.
         """
         nearest = np.rint(frames).astype(int)
         inside = (nearest >= 0) & (nearest < len(self.position))
@@ -204,7 +205,7 @@ def in_camera(
     pose: Float[np.ndarray, "*poses 4 4"],
     points: Float[np.ndarray, "*_ points 3"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points in the frame of a camera, metres, and a mask of those in front of it."""
+    """Transform points to a camera's frame (m); also return a mask of those in front of it."""
     local = points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
     return local, local[..., 2] > 0.05
 
@@ -212,7 +213,7 @@ def in_camera(
 def derivatives_of_projection(
     local: Float[np.ndarray, "*samples 3"], front: Bool[np.ndarray, "*samples"]
 ) -> Float[np.ndarray, "*samples 2 3"]:
-    """Derivatives of (x / z, y / z) by a point in the frame of the camera; zero behind it."""
+    """Differentiate (x / z, y / z) by a point in the camera's frame; zero behind the camera."""
     z = np.where(front, local[..., 2], 1.0)
     zero = np.zeros_like(z)
     rows = (
@@ -225,7 +226,7 @@ def derivatives_of_projection(
 def derivatives_by_rotation(
     local: Float[np.ndarray, "*samples 3"],
 ) -> Float[np.ndarray, "*samples 3 3"]:
-    """Derivatives of points in a camera's frame by a rotation vector about its axes."""
+    """Differentiate points in a camera's frame by a rotation vector about its axes."""
     x, y, z = np.moveaxis(local, -1, 0)
     zero = np.zeros_like(x)
     rows = (zero, z, -y), (-z, zero, x), (y, -x, zero)
@@ -237,14 +238,14 @@ def projected(
     local: Float[np.ndarray, "views moments points 3"],
     front: Bool[np.ndarray, "views moments points"],
 ) -> Float[np.ndarray, "views moments points 2"]:
-    """Pixels of points given in the frames of the cameras; meaningless behind them."""
+    """Project points in the frames of the cameras to pixels; meaningless behind the cameras."""
     plane = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
     turned = plane @ np.swapaxes(images.matrix[:, None, :2, :2], -1, -2)
     return turned + images.matrix[:, None, None, :2, 2]
 
 
 def _sliding_windows(values: np.ndarray, half_width: int) -> np.ndarray:
-    """Sliding windows over time, in a new last axis; zero before the start and after the end."""
+    """Return sliding windows over time, in a new last axis, padded with zeros at both ends."""
     edges = ((half_width, half_width), *((0, 0),) * (values.ndim - 1))
     padded = np.pad(values, edges)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1, axis=0)

@@ -1,10 +1,10 @@
 """Corrects clock and pose of one camera by what the other views see (robust Gauss-Newton).
 
-A view that is late by L shows at time t what happened at t - L; a camera whose calibration has
-gone is turned about its centre and shifted a little. Both move keypoints in the image, so that
-neither can be found right while the other is taken for right: of 80 ms and 1 degree, each alone
-leaves half of the error. Here all seven numbers are found at once. The derivative by the clock is
-the velocity of the points.
+A view that is late by L shows at time t what happened at t - L; a camera that was moved after its
+calibration is rotated about its centre and shifted a little. Both move keypoints in the image, so
+neither can be estimated while the other is taken as right: of 80 ms and 1 degree, each alone
+leaves half of the error. Here all seven unknowns are estimated at once. The derivative by the
+clock is the velocity of the points.
 """
 
 from dataclasses import dataclass, replace
@@ -34,42 +34,42 @@ from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 Part = Literal["clock", "pose"]
-"""What of a view may be wrong: when its frames were taken, or from where."""
+"""The part of a view that may be wrong: the times of its frames, or the camera's pose."""
 
 PARTS: tuple[Part, ...] = ("clock", "pose")
 
 SHIFT = 0.01
-"""Standard deviation of every coordinate of a shift of the camera, metres: what a tripod that was
-pushed has moved by. A turn of 1 degree moves what is seen at 4 m by 0.07 m."""
+"""Standard deviation (m) of every coordinate of the camera's shift, as of a tripod that was
+pushed. A rotation by 1 degree moves what is seen at 4 m by 0.07 m."""
 NOISE = 1.5
-"""Multiple of the noise of keypoints that may remain where everything is right."""
+"""Residuals, as a multiple of the keypoints' noise, up to which nothing else is wrong."""
 MAX_LATE_S = 0.7
-"""Seconds by which a clock may be off."""
-_LEAST_OVERLAP = 0.5
-"""Share of the moments that the view must share with the others after a shift of its clock."""
+"""Largest error of a clock (s)."""
+_MIN_OVERLAP = 0.5
+"""Share of its frames that a view must share with the others after a shift of its clock."""
 COARSE_STEP_S = 1 / 30
-"""Seconds between the offsets from which the best one is refined."""
-_MAX_MOMENTS = 500
-"""Moments that are looked at, evenly chosen from a longer recording."""
+"""Step (s) between the tested clock offsets, the best of which is refined."""
+_MAX_FRAMES = 500
+"""Largest number of frames that are used, evenly spread over a longer recording."""
 _OPTIONS = GaussNewton(12, tolerance=1.4e-3, scale=1.0, damping=0.0)
-"""Rounds end with a step of the seven unknowns of about 0.02 standard deviations each."""
+"""Iterations end with a step of the seven unknowns of about 0.02 standard deviations each."""
 _MIN_KEYPOINTS = 100
 """Least number of keypoints to estimate clock and pose from."""
-_OUTLIER = 9.0
-"""Squared standard deviations at which a keypoint counts half."""
-_MEDIAN = 1.386
-"""Median of the squared length of a vector whose two coordinates are unit normal."""
-_CLEAN = 30.0
-"""Squared standard deviations of the slope of the residuals below which nothing is searched."""
-_CLEAN_COST = 1.85
-"""Mean robust squared residual above which a correction is searched at once; white noise has
+_OUTLIER_SQUARED_STDS = 9.0
+"""Squared residual, in standard deviations, at which a keypoint has half of its weight."""
+_MEDIAN_SQUARED_LENGTH = 1.386
+"""Median of the squared length of a vector of two independent standard normal numbers."""
+_MAX_CLEAN_GAIN = 30.0
+"""Predicted decrease of the squared residuals below which no correction is searched."""
+_MAX_CLEAN_COST = 1.85
+"""Mean robust squared residual above which a correction is searched anyway; white noise has
 1.6."""
-_LEAST_MOTION = 0.2
+_MIN_MOTION_SHARE = 0.2
 """Share of the squared velocities that must be more than noise for a clock to be estimated."""
 _MAX_RESIDUAL_RATIO = 0.97
-"""Share of the residuals at an offset nearer to zero that those at a better one have at most."""
-_GLANCE = 40
-"""Frames from which the first offset is chosen."""
+"""Ratio of the residuals at a clock offset to those at one nearer to zero, to be preferred."""
+_COARSE_FRAMES = 40
+"""Number of frames from which the first clock offset is chosen."""
 _UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
 
 
@@ -79,65 +79,64 @@ class ViewCorrection:
 
     view: int
     late: float
-    """Frames by which the view is late."""
+    """Number of frames by which the view is late."""
     pose: Float[np.ndarray, "4 4"]
     """The corrected T_camera_world."""
     values: Float[np.ndarray, "7"]
-    """Lateness in frames, turn about the camera's own axes in radians, shift of its centre along
-    them in metres."""
+    """Clock offset in frames, rotation vector about the camera's axes (rad), shift of its centre
+    along them (m)."""
     covariance: Float[np.ndarray, "7 7"]
     """Covariance of `values`; zero for what was not corrected."""
     noise: float
-    """What remains of the residuals, in standard deviations of white noise: 1 where nothing else
-    is wrong."""
+    """Remaining residuals in standard deviations of white noise: 1 where nothing else is wrong."""
     cost: float
-    """Robust sum of squared residuals, those of the other views among themselves included."""
+    """Robust sum of squared residuals, including those among the other views."""
     inflation: float
-    """Residuals that say the same, for each independent one."""
+    """Number of residuals per independent one, as neighbouring residuals are correlated."""
     moves: float
-    """Root mean square distance that the correction moves keypoints by, in standard deviations of
+    """Root mean square distance by which the correction moves keypoints, in standard deviations of
     their noise."""
 
     def squared_deviations(self, part: Part) -> float:
-        """Squared size of one part of the correction, in standard deviations."""
+        """Return the squared size of one part of the correction, in standard deviations."""
         rows = _UNKNOWN[part]
         own, values = self.covariance[rows, rows], self.values[rows]
         return float(values @ np.linalg.solve(own, values)) if own.any() else 0.0
 
     @property
     def degrees(self) -> float:
-        """Angle of the correcting rotation."""
+        """Angle (degrees) of the correcting rotation."""
         return float(np.degrees(np.linalg.norm(self.values[1:4])))
 
     @property
     def metres(self) -> float:
-        """Distance by which the centre of the camera is shifted."""
+        """Distance (m) by which the centre of the camera is shifted."""
         return float(np.linalg.norm(self.values[4:]))
 
     def applied(self, images: Images) -> Images:
-        """All views, with this one replaced by its correction."""
+        """Apply the correction to this view, and return all views."""
         pose = images.pose.copy()
         pose[self.view] = self.pose
         return shifted_in_time(replace(images, pose=pose), self.view, self.late)
 
 
-_View = tuple[float, Float[np.ndarray, "4 4"]]
-"""Frames by which a view is late, and its T_camera_world."""
+_ClockAndPose = tuple[float, Float[np.ndarray, "4 4"]]
+"""Number of frames by which a view is late, and its T_camera_world."""
 
 
 @dataclass(frozen=True)
-class ViewAlignment(Problem[_View]):
+class ViewAlignment(Problem[_ClockAndPose]):
     """Residuals of a view against points that the others see, as a function of clock and pose."""
 
     images: Images
-    """The view alone."""
+    """Keypoints and camera of the aligned view alone."""
     view: int
     paths: Trajectories
     sigma: float
     """Standard deviation of a pixel coordinate."""
     parts: tuple[Part, ...]
     frames: Float[np.ndarray, " moments"]
-    """Numbers of the moments that are looked at."""
+    """Numbers of the frames that are used."""
 
     @classmethod
     def of(
@@ -147,11 +146,11 @@ class ViewAlignment(Problem[_View]):
         noise: Float[np.ndarray, " views"],
         parts: tuple[Part, ...],
     ) -> "ViewAlignment":
-        """The problem of aligning one view with all others."""
+        """Set up the alignment of one view with the points of all others."""
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
-        frames = np.unique(np.linspace(0, moments - 1, min(moments, _MAX_MOMENTS)).astype(int))
+        frames = np.unique(np.linspace(0, moments - 1, min(moments, _MAX_FRAMES)).astype(int))
         sigma = float(noise[view])
         return cls(images.view([view]), view, paths, sigma, parts, frames.astype(float))
 
@@ -172,19 +171,19 @@ class ViewAlignment(Problem[_View]):
 
     @property
     def may_improve(self) -> bool:
-        """Whether the given pose of a view might be improved: a cheap test without a search."""
+        """Whether a correction might improve the view: a cheap test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if (
             given.there.sum() < _MIN_KEYPOINTS
-            or cauchy_mean(given.squared[given.there]) > _CLEAN_COST
+            or cauchy_mean(given.squared[given.there]) > _MAX_CLEAN_COST
         ):
             return self.is_determined
         normal, slope, _ = given.equations()
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
-        return self.is_determined and gain > _CLEAN
+        return self.is_determined and gain > _MAX_CLEAN_GAIN
 
     def solved(self) -> ViewCorrection | None:
-        """The correction with the smallest residuals; None where the data do not determine it."""
+        """Find the correction with the least residuals; None if the data do not determine it."""
         if not self.is_determined:
             return None
         start = self.images.pose[0, 0]
@@ -218,20 +217,20 @@ class ViewAlignment(Problem[_View]):
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
     def _displacement(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
-        """How far the camera's centre is from the given one, along its axes, metres."""
+        """Return the shift (m) of the camera's centre from the given one, along its axes."""
         return pose[:3, :3] @ (camera_centre(pose) - camera_centre(self.images.pose[0, 0]))
 
     def _equations(
-        self, x: _View, found: "_Residuals"
+        self, x: _ClockAndPose, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Hessian, descent direction and excess variance, with the prior on a shifted camera."""
+        """Return Hessian, descent direction and inflation, with the prior on the shift."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._displacement(x[1]) / SHIFT**2
         return normal, slope, inflation
 
-    def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Quadratic model about a correction (reweighted); flat if too little is seen."""
+    def model(self, x: _ClockAndPose, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Return a quadratic model about a correction (reweighted); flat if too little is seen."""
         found, own = self._residuals(*x), self._unknown_indices
         normal, slope = np.eye(7), np.zeros(7)
         if found.there.sum() >= _MIN_KEYPOINTS:
@@ -239,8 +238,10 @@ class ViewAlignment(Problem[_View]):
         hessian = Banded.dense(torch.from_numpy(normal[np.ix_(own, own)]))
         return Quadratic(self.value(x, rows), -torch.from_numpy(slope[own])[None], [hessian])
 
-    def moved(self, x: _View, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> _View:
-        """The correction after a step that changes the clock by at most two frames."""
+    def moved(
+        self, x: _ClockAndPose, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> _ClockAndPose:
+        """Return the correction after a step that changes the clock by at most two frames."""
         del rows
         step = np.zeros(7)
         step[self._unknown_indices] = steps[0].numpy()
@@ -249,14 +250,14 @@ class ViewAlignment(Problem[_View]):
     def _best_offset(
         self, pose: Float[np.ndarray, "4 4"]
     ) -> tuple[float, Float[np.ndarray, "4 4"]]:
-        """The time offset with which a rotated view agrees best, and its rotated pose."""
+        """Return the clock offset at which the (rotated) view agrees best, and its pose."""
         if "clock" not in self.parts:
             return 0.0, pose
         fps, moments = self.images.fps, self.images.pixels.shape[1]
-        most = min(MAX_LATE_S * fps, (1 - _LEAST_OVERLAP) * moments)
+        most = min(MAX_LATE_S * fps, (1 - _MIN_OVERLAP) * moments)
         count = int(most / max(COARSE_STEP_S * fps, 1.0))
         best = (np.inf, 0.0, pose)
-        step = max(len(self.frames) // _GLANCE, 1)
+        step = max(len(self.frames) // _COARSE_FRAMES, 1)
         some = replace(self, frames=self.frames[::step])
         lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
         for late in sorted(lates.tolist(), key=abs):
@@ -315,11 +316,11 @@ class _Residuals:
     white: Float[np.ndarray, "moments points 2"]
     jacobian: Float[np.ndarray, "moments points 2 7"]
     blur: Float[np.ndarray, "moments points"]
-    """Expected part of the noise of velocities in the squared derivative by the clock."""
+    """Expected part of the velocities' noise in the squared derivative by the clock."""
     past: Float[np.ndarray, " moments"]
-    """Frames from the middle of the parabola that gave the positions."""
+    """Number of frames from the middle of the parabola that gave each frame's positions."""
     predicted: Float[np.ndarray, "moments points 2"]
-    """Pixels."""
+    """Projections of the points (pixels)."""
     there: Bool[np.ndarray, "moments points"]
 
     @property
@@ -329,18 +330,18 @@ class _Residuals:
     @property
     def spread(self) -> float:
         """Standard deviation of the residuals, estimated from their median."""
-        return float(np.sqrt(np.median(self.squared[self.there]) / _MEDIAN))
+        return float(np.sqrt(np.median(self.squared[self.there]) / _MEDIAN_SQUARED_LENGTH))
 
     def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Normal equations of a step, and the variance of the residuals relative to white noise.
+        """Return normal equations of a step, and the residuals' variance over that of white noise.
 
-        A clock on which the residuals do not depend, as nobody moves, is left as it is.
+        If nobody moves, so that the residuals do not depend on the clock, it is left unchanged.
 
-        Residuals of neighbouring moments are alike where a detector or the smoothing makes them
-        so; by as much as that they say the same twice.
+        Neighbouring residuals are correlated by the detector or by smoothing; the variance is
+        increased by the resulting loss of independent samples.
         """
         scale = max(self.spread, 1.0) ** 2
-        weight = self.there / (1 + self.squared / (_OUTLIER * scale))
+        weight = self.there / (1 + self.squared / (_OUTLIER_SQUARED_STDS * scale))
         j, r = self.jacobian[self.there], self.white[self.there]
         counted = weight[self.there]
         both = self.there[1:] & self.there[:-1]
@@ -355,21 +356,21 @@ class _Residuals:
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())
         raw, normal[0, 0] = normal[0, 0], normal[0, 0] - blur.sum()
-        if normal[0, 0] <= _LEAST_MOTION * raw:
+        if normal[0, 0] <= _MIN_MOTION_SHARE * raw:
             normal[0], normal[:, 0], slope[0] = 0.0, 0.0, 0.0
             normal[0, 0] = 1e-9
         return normal / inflation, slope / inflation, inflation
 
 
 def cauchy_mean(squared: Float[np.ndarray, " samples"]) -> float:
-    """Cauchy's robust mean of squared residuals, in which large ones count less."""
-    return _OUTLIER * float(np.log1p(squared / _OUTLIER).mean())
+    """Return Cauchy's robust mean of squared residuals, in which large ones count less."""
+    return _OUTLIER_SQUARED_STDS * float(np.log1p(squared / _OUTLIER_SQUARED_STDS).mean())
 
 
 def _moved_pose(
     pose: Float[np.ndarray, "4 4"], turn: Float[np.ndarray, "3"], shift: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """The camera pose after a rotation about its centre and a shift along its axes."""
+    """Return the camera pose after a rotation about its centre and a shift along its axes."""
     if not turn.any() and not shift.any():
         return pose
     out = pose.copy()

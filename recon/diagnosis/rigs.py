@@ -1,8 +1,8 @@
 """Finds and corrects a wrong clock or pose of one camera of a rig.
 
-Of three views and more, leaving one out shows which is at fault: the others agree, and the one
+With three or more views, leaving one out shows which is wrong: the others agree, and the wrong one
 agrees with them after a correction of its clock and pose. Two views show that something is wrong,
-but not which of them.
+but not in which of them.
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +30,9 @@ from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 _OPTIONS = GaussNewton(8, tolerance=1e-12, scale=1.0, damping=1e-6)
-"""Rounds end when the sum of squared distances would fall by less than 1e-12 metres²."""
+"""Iterations end when the sum of squared distances would fall by less than 1e-12 m²."""
 _LATE_STEP, _TURN_STEP = 0.5, 1e-4
-"""Frames and radians to either side over which derivatives are differences."""
+"""Half steps, in frames and radians, of the finite differences that give derivatives."""
 _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
 
@@ -41,13 +41,13 @@ class TwoViewCorrection:
     """The correction of the clock or rotation with which two views agree best."""
 
     images: Images
-    """The two views, the second one corrected."""
+    """Keypoints and cameras of the two views, the second one corrected."""
     late: float
-    """Frames by which the second view is late against the first."""
+    """Number of frames by which the second view is late."""
     degrees: float
-    """Angle by which one of the cameras is turned."""
+    """Angle (degrees) by which one of the cameras is rotated."""
     remains: float
-    """Median distance by which rays then miss each other's points, metres."""
+    """Median distance (m) of rays from triangulated points after the correction."""
 
 
 def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection:
@@ -72,7 +72,7 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection
 
 
 def median_miss(images: Images) -> float:
-    """Median distance of rays from the points triangulated from them, metres."""
+    """Return the median distance (m) of rays from the points triangulated from them."""
     rays = Rays.of(images)
     points, exists = rays.triangulated()
     there = exists & (rays.weight > 0)
@@ -88,12 +88,12 @@ def _first_offsets(images: Images) -> Float[np.ndarray, " offsets"]:
 def _distances_of_rays(
     images: Images, late: float, *turns: Float[np.ndarray, "3"]
 ) -> list[Float[np.ndarray, "moments points"]]:
-    """Signed distance between the two views' rays of every keypoint; 0 where one is missing.
+    """Return signed distances (m) between the two views' rays of every keypoint; 0 if missing.
 
     Args:
-        images: two views.
-        late: frames by which the second one's clock is put right.
-        turns: rotation vectors of its camera about its centre, one for each result.
+        images: keypoints and cameras of two views.
+        late: number of frames by which the second view is shifted in time.
+        turns: rotation vectors of its camera about its centre, one for each returned array.
     """
     rays, R = Rays.of(shifted_in_time(images, 1, late)), images.pose[1, :, :3, :3]
     there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
@@ -108,23 +108,23 @@ def _distances_of_rays(
 
 
 def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
-    """Median absolute value of the non-zero distances."""
+    """Return the median absolute value of the non-zero distances."""
     there = away != 0
     return float(np.median(np.abs(away[there]))) if there.any() else np.inf
 
 
 @dataclass(frozen=True)
 class _RayDistances(Problem[Float[np.ndarray, "4"]]):
-    """Distances between rays of two views, as a function of the second one's clock and turn."""
+    """Distances between rays of two views as a function of the second one's clock and pose."""
 
     images: Images
     unknown: list[int]
-    """Which of the four values are moved."""
+    """Indices of the unknowns among clock offset and rotation vector; the others stay fixed."""
     latest: float
-    """Frames by which the clock is off at most, where it is moved."""
+    """Largest clock offset (frames), if it is unknown."""
 
     def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Quadratic model of the distances (reweighted); flat if too little is seen."""
+        """Return a quadratic model of the distances (reweighted); flat if too little is seen."""
         unknown, late, turn = self.unknown, float(x[0]), x[1:]
         ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
         away, *ends = _distances_of_rays(self.images, late, turn, *(ends if 1 in unknown else ()))
@@ -147,7 +147,7 @@ class _RayDistances(Problem[Float[np.ndarray, "4"]]):
     def moved(
         self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Float[np.ndarray, "4"]:
-        """The clock and rotation after a step."""
+        """Return clock offset and rotation vector after a step."""
         del rows
         out = x.copy()
         out[self.unknown] += steps[0].numpy()
@@ -156,24 +156,23 @@ class _RayDistances(Problem[Float[np.ndarray, "4"]]):
         return out
 
 
-_LEAST_NOISE = 0.5
-"""Pixels; keypoints are not known better than that."""
+_MIN_NOISE_PX = 0.5
+"""Least standard deviation (pixels) that is assumed of keypoints."""
 _MIN_SQUARED_STDS = 60.0
-"""Squared standard deviations by which a part of a correction must be different from none."""
-_FEWER = 30.0
-"""Squared standard deviations from none of a part that is corrected together with a certain
-one."""
+"""Squared size, in standard deviations, from which on a part of a correction is certain."""
+_MIN_OTHER_SQUARED_STDS = 30.0
+"""The same for a part that is corrected together with a certain one."""
 _MIN_MOVED_STDS = 0.4
-"""Least distance, in standard deviations of the keypoints, that a correction moves them by."""
-_TOLD = 60.0
+"""Distance, in standard deviations of the keypoints, by which a correction must move them."""
+_MIN_COST_GAP = 60.0
 """Difference of robust squared residuals from which on one view is clearly the better one to
 correct."""
-_SMALLEST_CLOCK = 0.004
-"""Seconds below which a clock is left as it is."""
-_SMALLEST_TURN = 0.08
-"""Degrees below which, with a shift below `_SMALLEST_SHIFT`, a pose is left as it is."""
-_SMALLEST_SHIFT = 0.01
-"""Metres."""
+_MIN_CLOCK_S = 0.004
+"""Clock error (s) below which nothing is corrected."""
+_MIN_TURN_DEG = 0.08
+"""Rotation (degrees) below which, with a shift below `_MIN_SHIFT_M`, a pose is left unchanged."""
+_MIN_SHIFT_M = 0.01
+"""Shift (m) below which, with a small rotation, a pose is left unchanged."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +189,7 @@ class CorrectedRig:
 def corrections(images: Images) -> CorrectedRig:
     """Correct clocks and poses of cameras where the correction is certain.
 
-    One view after the other, as long as two views remain that need no correction.
+    Views are corrected one after the other, as long as two views remain without a correction.
     """
     applied: tuple[ViewCorrection, ...] = ()
     for _ in range(len(images.names) - 2):
@@ -198,7 +197,7 @@ def corrections(images: Images) -> CorrectedRig:
         if not found or not is_certain(found[0], images.fps):
             break
         best = found[0]
-        alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
+        alike = [one for one in found if one.cost - best.cost < _MIN_COST_GAP * best.inflation]
         if len(alike) > 1:
             return CorrectedRig(images, applied, tuple(alike))
         images, applied = best.applied(images), (*applied, best)
@@ -206,7 +205,7 @@ def corrections(images: Images) -> CorrectedRig:
 
 
 def corrected_rig(images: Images) -> tuple[Images, Findings]:
-    """The views after `corrections`, and these corrections as findings."""
+    """Return the views after `corrections`, and these corrections as findings."""
     found = corrections(images)
     repairs = tuple(_finding_of_correction(images, one) for one in found.applied)
     if not found.undecided:
@@ -225,11 +224,11 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
 
 
 def candidate_corrections(images: Images) -> list[ViewCorrection]:
-    """Candidate corrections of single fixed views, sorted by the remaining error.
+    """Return candidate corrections of single fixed views, sorted by the remaining error.
 
-    None where every view agrees with the others.
+    The list is empty where every view agrees with the others.
     """
-    noise = np.maximum(images.noise, _LEAST_NOISE)
+    noise = np.maximum(images.noise, _MIN_NOISE_PX)
     fixed = [v for v, still in enumerate(images.fixed) if still]
     given = (
         [ViewAlignment.of(images, v, noise, PARTS) for v in fixed]
@@ -250,18 +249,20 @@ def is_certain(found: ViewCorrection, fps: float) -> bool:
 
 
 def _simplest_correction(images: Images, given: ViewAlignment) -> ViewCorrection | None:
-    """The correction with the fewest parts (clock, rotation, shift) that suffices for a view."""
+    """Find the correction with the fewest parts (clock, pose) that suffices for a view."""
     both = given.solved()
     if both is None:
         return None
-    parts: list[Part] = [part for part in PARTS if _is_needed(both, part, images.fps, _FEWER)]
+    parts: list[Part] = [
+        part for part in PARTS if _is_needed(both, part, images.fps, _MIN_OTHER_SQUARED_STDS)
+    ]
     return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
 def _is_needed(found: ViewCorrection, part: Part, fps: float, least: float) -> bool:
-    large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+    large = found.degrees >= _MIN_TURN_DEG or found.metres >= _MIN_SHIFT_M
     if part == "clock":
-        large = abs(found.late) / fps >= _SMALLEST_CLOCK
+        large = abs(found.late) / fps >= _MIN_CLOCK_S
     return large and found.squared_deviations(part) >= least
 
 
@@ -281,7 +282,7 @@ def _finding_of_correction(images: Images, found: ViewCorrection) -> Finding:
 
 
 def _error_in_words(found: ViewCorrection, fps: float) -> str:
-    """The sentence that describes a view's error, with standard deviations."""
+    """Describe a view's error in words, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []
     if found.late:

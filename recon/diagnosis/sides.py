@@ -1,9 +1,9 @@
-"""Repairs exchanged names of keypoints of left and right, or of pairs in one of several views.
+"""Repairs exchanged names of left and right keypoints, or of other pairs in one of several views.
 
-Left and right follow from two facts. A point does not leave its path and go on along its
-counterpart's within a frame; and where several cameras see a body, rays through one point meet,
-and noses, knees and toes point to where right is on the right. All views and moments are decided
-together (Viterbi's algorithm).
+Left and right follow from two facts: a point does not jump from its own path to its counterpart's
+within a frame; and where several cameras see a body, rays through one point meet, and noses, knees
+and toes show which side is the right one. All views and frames are decided together (Viterbi's
+algorithm).
 """
 
 from collections.abc import Sequence
@@ -31,41 +31,41 @@ from recon.diagnosis.images import (
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
 
-_MISS = 0.04
-"""Metres by which rays of good views miss each other; real detections do by 0.01 to 0.03."""
+_MISS_STD_M = 0.04
+"""Distance (m) by which rays of good views miss each other; 0.01 to 0.03 in real detections."""
 _PATH_STEP_M = (0.01, 0.05)
-"""Metres by which points of views leave their paths from one frame to the next, at least and
-at most; estimated as the median of a view."""
+"""Least and largest standard deviation (m) of points from their predicted paths, which is
+estimated from the median in each view."""
 _RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a vector whose two coordinates are unit normal."""
+"""Median length of a vector of two independent standard normal numbers."""
 _MAX_SQUARED_STDS = 9.0
-"""Squared standard deviations beyond which a point is an outlier and says no more."""
-_CHANGE = 12.0
+"""Squared residual, in standard deviations, to which the cost of an outlier is limited."""
+_CHANGE_COST = 12.0
 """Cost of a change of names, in squared standard deviations."""
 _BACKWARDS_COST = 6.0
-"""Cost of a moment that faces backwards, in squared standard deviations."""
-_EXCHANGED = 0.05
-"""Cost of a moment with exchanged names: without evidence, names are right."""
+"""Cost of a frame in which the body faces backwards, in squared standard deviations."""
+_EXCHANGED_COST = 0.05
+"""Cost of a frame with exchanged names: without evidence, names are right."""
 _MIN_SAVED_COST = 30.0
 """Cost that exchanging names must save; in good windows of validation people it saves 11 at most,
 and 60 and more where a third of a clip has its names exchanged."""
-_MEET = 0.06
-"""Metres by which rays may miss each other under the right names; real detections, with what
-their calibrations are worth, do by 0.03."""
-_MUCH_BETTER, _BETTER = 0.75, 0.95
-"""Shares of its objective to which a fit to one view must fall with all sides exchanged: where no
-frame's sides were, and where those of some were, so that one of the two is wrong. Exchanged right
-names have 1.13 in the median of 75 simulated clips; below 0.95 in four, below 0.75 in one."""
-_TOGETHER = 5
-"""Views that are decided together; further ones follow them."""
+_MAX_MISS_M = 0.06
+"""Distance (m) by which rays may miss each other under the right names; real detections and
+calibrations reach 0.03."""
+_MAX_RATIO_NO_JUMPS, _MAX_RATIO_JUMPS = 0.75, 0.95
+"""Ratios to which exchanging all sides in one view must reduce the objective of a fit: if no
+frame's sides were exchanged, and if some were, so that one part is wrong anyway. Exchanging right
+names gives 1.13 in the median of 75 simulated clips; below 0.95 in four, below 0.75 in one."""
+_MAX_JOINT_VIEWS = 5
+"""Largest number of views that are decided together; further ones follow them."""
 
 
 def repaired_sides(images: Images) -> tuple[Images, Findings]:
-    """The images with left and right exchanged back, and the findings.
+    """Undo exchanges of left and right in all views; also return the findings.
 
-    Where one view is all there is, only continuity tells; then a fit must confirm every stretch,
-    and what it does not confirm is a warning. Which of the two sides is left in all frames is the
-    one with which a body fits better.
+    In a single view only continuity shows exchanges; then a fit must confirm every stretch, and
+    unconfirmed ones become warnings. Finally, all frames get the sides with which a body fits
+    better.
     """
     flags = exchanged_sides(without_excursions(images))
     doubted = np.zeros_like(flags)
@@ -73,7 +73,7 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
         sure = confirmed_sides(images, flags[0])[None]
         flags, doubted = sure, flags & ~sure
     if len(flags) == 1 and images.sided.any() and images.seen.any():
-        needed = _BETTER if flags.any() else _MUCH_BETTER
+        needed = _MAX_RATIO_JUMPS if flags.any() else _MAX_RATIO_NO_JUMPS
         flags = flags ^ fits_better_exchanged(images.exchanged(flags), needed)
     found = list(zip(images.names, flags, strict=True))
     if len(flags) > 1 and (flags == flags[0]).all():
@@ -102,16 +102,16 @@ def _sides_finding(
 
 
 def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
-    """Mask of views and frames whose left and right are surely exchanged.
+    """Return a mask of views and frames whose left and right are surely exchanged.
 
-    Of several views only those under whose new names all rays meet: a view that is wrong in
-    another way is not put right by other names.
+    Of several views, only those are marked in which all rays meet under the new names: another
+    error of a view is not repaired by other names.
     """
     views, moments = images.confidence.shape[:2]
     flags = np.zeros((views, moments), dtype=bool)
     if not images.sided.any() or moments == 0:
         return flags
-    first = np.argsort(-images.seen.sum((1, 2)), kind="stable")[:_TOGETHER].tolist()
+    first = np.argsort(-images.seen.sum((1, 2)), kind="stable")[:_MAX_JOINT_VIEWS].tolist()
     flags[first] = _cheapest_exchanges(images.view(first), list(range(len(first))))
     for v in sorted(set(range(views)) - set(first)):
         group = images.exchanged(flags).view([*first, v])
@@ -121,13 +121,13 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
         points, exists = rays.triangulated()
         miss, there = rays.miss(points), exists & (rays.weight > 0)
         for own, near, seen in zip(flags, miss, there, strict=True):
-            if seen[own].any() and np.median(near[own][seen[own]]) > _MEET:
+            if seen[own].any() and np.median(near[own][seen[own]]) > _MAX_MISS_M:
                 own[:] = False
     return flags
 
 
 def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """Frames of the views `free` in which left and right names are exchanged, at the least cost.
+    """Return, at the least cost, a mask of frames with exchanged sides in the views `free`.
 
     False in all frames unless that saves `_MIN_SAVED_COST`.
     """
@@ -148,15 +148,16 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
 def _triangulated_under(
     images: Images, exchanged: Bool[np.ndarray, " views"], order: Int[np.ndarray, " points"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points where rays meet when some views have names in another order, and a mask of them.
+    """Triangulate points with names exchanged in some views; also return a mask and costs.
 
-    With the costs, (moments, points), of how far rays miss them; nothing where one view is all.
+    The costs (moments, points) are squared distances of rays from the points, in standard
+    deviations; zero if there is only one view.
     """
     moments = images.confidence.shape[1]
     named = images.exchanged(np.repeat(exchanged[:, None], moments, 1), order)
     rays = Rays.of(named)
     points, exists = rays.triangulated()
-    miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
+    miss = np.minimum((rays.miss(points) / _MISS_STD_M) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     return points, exists, counted * (len(exchanged) > 1)
 
@@ -167,7 +168,7 @@ def _costs_of_moments(
     groups: Bool[np.ndarray, "groups points"],
 ) -> Float[np.ndarray, "groups moments states"]:
     miss = np.stack([groups @ counted.T for *_, counted in met], -1)
-    return miss + _EXCHANGED * states.sum(-1)
+    return miss + _EXCHANGED_COST * states.sum(-1)
 
 
 def _costs_of_changes(
@@ -176,10 +177,10 @@ def _costs_of_changes(
     order: Int[np.ndarray, " points"],
     groups: Bool[np.ndarray, "groups points"],
 ) -> Float[np.ndarray, "groups moments states states"]:
-    """Costs of going from one state of the frame before to one of this; 0 in the first frame."""
+    """Return costs of transitions between states of consecutive frames; 0 in the first frame."""
     stay, change = (cost @ groups.T for cost in _costs_of_steps(images, order))
     differ = (states[:, None] ^ states).astype(float)
-    more = np.einsum("abv,vtg->gtab", differ, change + _CHANGE - stay)
+    more = np.einsum("abv,vtg->gtab", differ, change + _CHANGE_COST - stay)
     return stay.sum(0).T[..., None, None] + more
 
 
@@ -187,7 +188,7 @@ def _cheapest_paths(
     here: Float[np.ndarray, "groups moments states"],
     between: Float[np.ndarray, "groups moments states states"],
 ) -> Int[np.ndarray, "groups moments"]:
-    """States of all moments at the least total cost; state 0 throughout if little is saved."""
+    """Return the state of every frame at the least total cost; state 0 if little is saved."""
     paths = cheapest_path(torch.from_numpy(here), torch.from_numpy(between[:, 1:])).numpy()
 
     def cost(paths: Int[np.ndarray, "groups moments"]) -> Float[np.ndarray, " groups"]:
@@ -202,9 +203,10 @@ def _cheapest_paths(
 def _costs_of_steps(
     images: Images, order: Int[np.ndarray, " points"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Costs, per frame, of continuing with the same names and with names in another order.
+    """Return costs, per frame, of continuing with the same names and with exchanged names.
 
-    Both (views, moments, points); the first moment has no cost. Points go on as they went before.
+    Both are (views, moments, points); the first frame has no cost. Points are predicted to keep
+    their velocity.
     """
     before, known = extrapolated(images)
     away = np.linalg.norm(images.pixels - before, axis=-1) / images.scale[..., None]
@@ -224,16 +226,16 @@ def _costs_of_steps(
 
 
 def repaired_by_rays(images: Images) -> tuple[Images, Findings]:
-    """The images with names of pairs exchanged back in views, and the findings."""
+    """Undo exchanges of two names by which rays of several views meet; also return findings."""
     return repaired_by(images, exchanged_between_views(images), "rays of the views meet only then")
 
 
 def exchanged_between_views(images: Images) -> list[ExchangedPair]:
-    """Pairs of keypoints of a view whose rays meet others only under exchanged names.
+    """Find pairs of keypoints in one view whose rays meet the others' only when exchanged.
 
-    Left and right, or neighbours along a limb. Where nothing in a view speaks for its sides,
-    `repaired_sides` decides. Rays do not tell which of two views is wrong: the one whose points
-    jump is; else the body shall face where it is in front, and `repaired_names` looks at bones.
+    Pairs are left and right, or neighbours along a limb. If nothing shows which view has the right
+    sides, `repaired_sides` decides. Of two views, the one whose points jump is wrong; or else the
+    one with which the body faces backwards. `repaired_names` checks bones.
     """
     if (views := len(images.names)) < 2 or (moments := images.confidence.shape[1]) == 0:
         return []
@@ -254,9 +256,9 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
                 for first, last in stretches(path == v + 1):
                     when = slice(first, last + 1)
                     against = (here[:, when, 0] - here[:, when, v + 1]).sum(1).min()
-                    meet = cost[when, v + 1].mean() <= 2 * views * (_MEET / _MISS) ** 2
+                    meet = cost[when, v + 1].mean() <= 2 * views * (_MAX_MISS_M / _MISS_STD_M) ** 2
                     if meet and (pairs is not sides or against < -_MIN_SAVED_COST):
-                        away = np.sqrt(cost[when, 0].mean() / (2 * views)) * _MISS
+                        away = np.sqrt(cost[when, 0].mean() / (2 * views)) * _MISS_STD_M
                         found.append(ExchangedPair(v, pair, first, last, float(away)))
     always = [one for one in found if (one.first, one.last) == (0, moments - 1)]
     if views == 2 and always:

@@ -1,4 +1,4 @@
-"""Detects frames out of order and changes of person, by noise in time and jumps of the body."""
+"""Detects frames out of order and switches to another person in tracked 3D points."""
 
 import itertools
 
@@ -13,49 +13,47 @@ from recon.diagnosis.named_points import NamedPoints, distances, joint_pairs, sa
 from recon.diagnosis.quick_fit import without_implausible
 
 _MIN_LENGTHS = 8
-"""Moments at which both ends of a bone must be seen."""
-_DIFFERENCE = 2.2
+"""Number of frames in which both ends of a bone must be seen."""
+_TYPICAL_STDS = 2.2
 """Typical distance of two measurements of one place, in standard deviations of a coordinate."""
-_DISORDER = 2.0
-"""Factor by which points must move more between two frames than their noise along bones makes
-them; bones keep their lengths in any order."""
-_LEAST_DISORDER = 0.05
-"""Metres between two frames below which order hardly matters."""
+_MIN_DISORDER_RATIO = 2.0
+"""Factor by which points must move more between two frames than their noise along bones explains;
+bones keep their lengths in any order of frames."""
+_MIN_DISORDER_M = 0.05
+"""Distance (m) between two frames below which order hardly matters."""
 _LAGS = (3, 6, 10)
-"""Frames after which a body that moves is farther away than after one frame."""
-_GROWTH = 1.5
+"""Numbers of frames after which a moving body is farther away than after one frame."""
+_MIN_GROWTH = 1.5
 """Factor by which it must be farther then; a body in motion reaches more than two."""
-_SEAMS = 4
-"""Sudden changes of the whole body's velocity from which on frames are out of order; a change of
-person or of names has at most two."""
-_SEAM_SPEED = 0.8
-"""Metres per second by which half of the points change their velocity there. A kick or a landing
-changes it by at most 0.5 within a frame of 1/30 s."""
-_SEAM_NOISE = 1.4
-"""Factor by which noise alone makes the largest such changes exceed the typical one."""
-_SEAM_DIFFERENCE = 5**0.5
-"""Standard deviation of such a change, in standard deviations of a coordinate: squares of 1/2,
-3/2, 3/2 and 1/2 summed."""
+_MIN_SEAMS = 4
+"""Number of seams, which are sudden changes of the whole body's velocity, from which on frames are
+out of order; a change of person or of names has at most two."""
+_MIN_SEAM_M_S = 0.8
+"""Change of velocity (m/s) within one frame of at least half of the points at a seam. A kick or a
+landing changes it by at most 0.5 within a frame of 1/30 s."""
+_SEAM_NOISE_RATIO = 1.4
+"""Ratio of the largest such change by noise alone to the typical one."""
+_SEAM_STD_RATIO = 5**0.5
+"""Standard deviation of such a change, in standard deviations of a coordinate: root of the sum of
+the squares of 1/2, 3/2, 3/2 and 1/2."""
 _MEDIAN_LENGTH = 1.5381722544550522
 """Median length of a vector of three independent standard normal numbers (chi distribution)."""
-_SEAM_POINTS = 8
-"""Points that must be seen around a moment."""
-_WILD = 0.08
-"""Share of the points that may lie where no body is."""
-_JUMP = 0.12
-"""Metres beyond its neighbours' steps by which the middle of all points may step between two
-moments of one recording."""
-_DISORDERLY = 3
-"""Jumps from which on frames are out of order rather than somebody else's."""
-_JUMP_SPEED = 4.0
-"""Metres per second that a jump must amount to: a change of speed by this much within a frame is
-more than ten times gravity."""
+_MIN_SEAM_POINTS = 8
+"""Number of points that must be seen around a seam."""
+_MAX_OUTLIERS = 0.08
+"""Share of implausible positions above which seams are not searched."""
+_MIN_JUMP_M = 0.12
+"""Distance (m) by which a step of the whole body must exceed the steps around it to be a jump."""
+_MIN_DISORDER_JUMPS = 3
+"""Number of jumps from which on frames are out of order rather than another person's."""
+_MIN_JUMP_M_S = 4.0
+"""Speed (m/s) of a jump, at least: such a change within a frame is more than 10 g."""
 
 
 def temporal_noise(points: NamedPoints) -> float:
-    """Standard deviation of one coordinate, metres, from third differences in time.
+    """Return the standard deviation (m) of a coordinate, from third differences in time.
 
-    Zero where it cannot be estimated.
+    It is zero where it cannot be estimated.
     """
     positions, visible = torch.from_numpy(points.positions), torch.from_numpy(points.visible)
     noise = estimate_noise(positions, visible, (0.0, torch.inf))
@@ -63,7 +61,7 @@ def temporal_noise(points: NamedPoints) -> float:
 
 
 def bone_noise(points: NamedPoints) -> float | None:
-    """Standard deviation of one coordinate, metres, from the lengths of bones.
+    """Return the standard deviation (m) of a coordinate, from the lengths of bones.
 
     Points on one bone, and joints at its two ends, keep their distance whatever the order of the
     frames. None where there are no such pairs.
@@ -80,12 +78,12 @@ def bone_noise(points: NamedPoints) -> float | None:
 def velocity_changes(
     places: Float[np.ndarray, "*views moments points dims"],
 ) -> Float[np.ndarray, "*views moments points"]:
-    """How much the step that leads to a frame differs from the mean of the steps around it.
+    """Return the distance of each frame's step from the mean of the steps before and after.
 
-    NaN where a point is not seen at all four moments, and at the ends.
+    It is NaN at the ends, and where a point is not seen in all four frames.
 
     Args:
-        places: NaN where not seen.
+        places: positions of the points; NaN where not seen.
     """
     out = np.full(places.shape[:-1], np.nan)
     step = np.diff(places, axis=-3)
@@ -95,15 +93,15 @@ def velocity_changes(
 
 
 def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
-    """A warning when frames are out of order: positions jump but bone lengths are constant."""
+    """Return a warning if frames are out of order: positions jump, but bones keep their length."""
     if found := _repeated_jumps_warning(points):
         return found
     along, near = bone_noise(points), _distance_moved(points, 1)
     far = np.array([_distance_moved(points, lag) for lag in _LAGS])
-    if along is None or np.isnan(near) or np.isnan(far).all() or near < _LEAST_DISORDER:
+    if along is None or np.isnan(near) or np.isnan(far).all() or near < _MIN_DISORDER_M:
         return ()
     typical = float(np.nanmedian(far))
-    if near < _DISORDER * _DIFFERENCE * along or typical > _GROWTH * near:
+    if near < _MIN_DISORDER_RATIO * _TYPICAL_STDS * along or typical > _MIN_GROWTH * near:
         return ()
     return (
         Finding(
@@ -117,23 +115,23 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
-    """A warning if the whole body jumps to another place repeatedly.
+    """Return a warning if the whole body jumps to another place repeatedly.
 
-    That is so between blocks of frames which were put together in a wrong order. Changes of
-    velocity are medians over the points, divided by what the median is for normal noise of one
-    metre in each coordinate of the difference.
+    This happens between blocks of frames that were put together in a wrong order. Changes of
+    velocity are medians over the points, divided by the median for standard normal noise in each
+    coordinate of the difference.
     """
     kept = without_implausible(points)
-    if len(kept.visible) < 4 or kept.visible.sum() < (1 - _WILD) * points.visible.sum():
+    if len(kept.visible) < 4 or kept.visible.sum() < (1 - _MAX_OUTLIERS) * points.visible.sum():
         return ()  # many outliers may look like a jump of half of the points
     change = velocity_changes(np.where(kept.visible[..., None], kept.positions, np.nan))
-    change[np.isfinite(change).sum(1) < _SEAM_POINTS] = 0.0
+    change[np.isfinite(change).sum(1) < _MIN_SEAM_POINTS] = 0.0
     change = np.nanmedian(change, axis=1) / _MEDIAN_LENGTH
-    noise = _SEAM_NOISE * _SEAM_DIFFERENCE * (bone_noise(points) or 0.0)
-    limit = float(np.hypot(noise, _SEAM_SPEED / points.fps))
+    noise = _SEAM_NOISE_RATIO * _SEAM_STD_RATIO * (bone_noise(points) or 0.0)
+    limit = float(np.hypot(noise, _MIN_SEAM_M_S / points.fps))
     before, after = np.append(0.0, change[:-1]), np.append(change[1:], 0.0)
     seams = (change > limit) & (change >= before) & (change >= after)
-    if seams.sum() < _SEAMS:
+    if seams.sum() < _MIN_SEAMS:
         return ()
     frames, speed = stretches(seams), float(np.median(change[seams])) * points.fps
     return (
@@ -152,8 +150,8 @@ def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     """Warn where the whole body jumps, as when a tracker switches to another person.
 
-    The middle of the points steps there unlike it does before and after: the median displacement
-    of the points that are seen now and were seen at the last frame with any.
+    A jump is a step of the whole body that differs from those before and after; the step is the
+    median displacement of the points that are seen now and in the last frame with any.
     """
     count = len(points.visible)
     step, elapsed = np.full(count, np.nan), np.full(count, 1 / points.fps)
@@ -169,7 +167,7 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
         near = near[np.isfinite(step[near])]
         usual = float(np.median(step[near] / elapsed[near])) * elapsed[t] if len(near) else 0.0
         beyond[t] = step[t] - usual
-    jumps = (beyond > _JUMP + 3 * min(noise, 0.1)) & (beyond > _JUMP_SPEED * elapsed)
+    jumps = (beyond > _MIN_JUMP_M + 3 * min(noise, 0.1)) & (beyond > _MIN_JUMP_M_S * elapsed)
     if not jumps.any():
         return ()
     frames, most = stretches(jumps), float(step[jumps].max())
@@ -179,7 +177,7 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
         "probably another person was tracked from there on; cut the recording there (--between) "
         "or correct the identities"
     )
-    if jumps.sum() >= _DISORDERLY:
+    if jumps.sum() >= _MIN_DISORDER_JUMPS:
         code = "frame order"
         said = (
             f"all points jump together by up to {most:.2f} m and back, again and again "
@@ -190,7 +188,7 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def _distance_moved(points: NamedPoints, frames: int) -> float:
-    """Median distance that points move in a number of frames, metres; NaN if unknown."""
+    """Return the median distance (m) that points move in a number of frames; NaN if unknown."""
     both = points.visible[frames:] & points.visible[:-frames]
     away = np.linalg.norm(points.positions[frames:] - points.positions[:-frames], axis=-1)[both]
     return float(np.median(away)) if away.size else np.nan

@@ -295,11 +295,11 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
         found[joint] = top[0]
     for side in SIDES:
         if f"{side}_wrist" in found:
-            found |= _fingers(tree, found[f"{side}_wrist"], side, told)
+            found |= _finger_joints(tree, found[f"{side}_wrist"], side, told)
     return found
 
 
-def _fingers(
+def _finger_joints(
     tree: Tree, hand: int, side: str, told: Mapping[int, tuple[str, list[str]]]
 ) -> dict[str, int]:
     """Find the finger joints of one hand, by names and by their order along the fingers."""

@@ -1,4 +1,4 @@
-"""Finds bones of a character without telling names, by branches of its tree and positions."""
+"""Finds the bones of a character by branches and positions of its nodes, not by names."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
         return {}
     # the last bone of a longer chain is the tip of the head, not its joint
     found["head"] = head[-2] if len(head) > 2 else head[-1]
-    chains = [_leg(legs[0], places), _leg(legs[1], places)]
+    chains = [_leg_joints(legs[0], places), _leg_joints(legs[1], places)]
     ahead = sum((places[one[3]] - places[one[2]] for one in chains if len(one) > 3), np.zeros(3))
     if np.linalg.norm(ahead[[0, 2]]) < 1e-3 * reach:
         ahead = np.array([0.0, 0.0, 1.0])
@@ -84,13 +84,13 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
         side = "left" if (left @ aside > 0) == (number == 0) else "right"
         found |= dict(zip([f"{side}_{j}" for j in ("hip", "knee", "ankle", "foot")], chain,
                           strict=False)) if len(chain) > 2 else {}  # fmt: skip
-        arm = _arm(tree, tree.between(chest, arms[number]), children, places)
+        arm = _arm_joints(tree, tree.between(chest, arms[number]), children, places)
         names = [f"{side}_{j}" for j in ("collar", "shoulder", "elbow", "wrist")]
         found |= {name: node for name, node in zip(names, arm, strict=False) if node >= 0}
     return found
 
 
-def _leg(chain: list[int], places: Float[np.ndarray, "nodes 3"]) -> list[int]:
+def _leg_joints(chain: list[int], places: Float[np.ndarray, "nodes 3"]) -> list[int]:
     """Choose hip, knee, ankle and maybe toes in a chain of nodes; none if it is too short."""
     if len(chain) < 3:
         return []
@@ -103,7 +103,7 @@ def _leg(chain: list[int], places: Float[np.ndarray, "nodes 3"]) -> list[int]:
     return [chain[0], chain[knee], chain[ankle], *toes]
 
 
-def _arm(
+def _arm_joints(
     tree: Tree,
     chain: list[int],
     children: Mapping[int, list[int]],

@@ -47,8 +47,8 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """Convert a motion with fingers as `skeleton_of` does; fingers have tips, wrists none."""
-    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
+    """Convert a motion with fingers to a skeleton recording, with tips of fingers, not wrists."""
+    from recon.body.hands import finger_offsets, pose_fingers  # imported here: rarely used
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)
@@ -93,7 +93,7 @@ def write_bvh(
     order: Order = "ZYX",
     bones: BoneNames = "smpl",
 ) -> None:
-    """Write a skeleton recording as BVH, y up, in one Euler order; reading it restores it.
+    """Write a skeleton recording as BVH without loss: y up, one Euler order for all joints.
 
     Joints that move within their parent get position channels; joints called `<parent>_end`
     become end sites. The root's OFFSET is zero: some programs add it to its position channels,

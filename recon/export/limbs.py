@@ -21,7 +21,7 @@ _REACH = 0.9995
 _NEAR = 0.04
 """Height above the ground, metres, up to which a foot or hand counts as touching it."""
 _LOW = 0.25
-"""Range of heights above `_NEAR`, metres, in which a foot ceases to follow the person's."""
+"""Range of heights above `_NEAR`, metres, over which the person's foot loses its influence."""
 _SOFT = 0.002
 """Scale of the soft minimum of heights, metres, that weights the lowest points."""
 _LEAVING = 3 * MAXIMUM_SPEED
@@ -66,7 +66,7 @@ class PersonMotion:
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel, ground: float) -> "PersonMotion":
-        """Compute these for a motion on level ground of the height `ground`."""
+        """Compute a person's hips, leg length and contacts from a motion on level ground."""
         posed, rest = body.pose(motion), body.rest_joints(motion.shape)
         sole = body.rest_vertices(motion.shape)[:, 1].min()
         own, contacts = body.weights.argmax(-1), {}
@@ -98,7 +98,7 @@ class Limb:
     def of(
         cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: PersonMotion
     ) -> "Limb":
-        """Make the limb of a side from the rig and the person's contacts."""
+        """Make a leg or arm of the rig, with the person's contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
         # with a hand on the ground, the forearm may be lower than the wrist: it belongs to the tip
@@ -113,7 +113,7 @@ class Limb:
         return float(places.diff(dim=0).norm(dim=-1).sum())
 
     def goal(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
-        """Target positions of the limb's end joint in the scene, (time, 3).
+        """Return target positions of the limb's end joint in the scene, (time, 3).
 
         While the person's foot stands, the character's lowest point moves as the person's does,
         times `ratio` where that is below 1; between stances the offsets that this takes are
@@ -238,7 +238,7 @@ def _shifts_while_standing(
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one, the shift of that stand is kept
+            # before the first stance and after the last one, the offset of that stance is kept
             rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise

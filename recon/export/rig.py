@@ -61,11 +61,11 @@ class CharacterRig:
 
     @property
     def hips(self) -> int:
-        """The node of the hips."""
+        """Number of the node of the hips."""
         return self.character.driven[0]
 
     def posed(self, carried: CharacterPose) -> Posed:
-        """Forward kinematics: rotation and position of all animated nodes in the scene."""
+        """Compute rotation and position of all animated nodes by forward kinematics."""
         found: Posed = {}
         for node in self.character.driven:
             place = carried.hips

@@ -1,1 +1,1 @@
-"""Fits of motions to observations: clips, long recordings, the ground, cycles, other bodies."""
+"""Fits motions to observations: clips, long recordings, grounds, gait cycles, other bodies."""

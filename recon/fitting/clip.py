@@ -1,4 +1,4 @@
-"""The fit of a clip: first guess, weights, unknown ground and lens, then the prior's stages."""
+"""Fits one clip: first guess, noise weights, unknown ground and lens, then the prior's stages."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,13 +35,13 @@ from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
 LONG = 10.0
-"""Seconds; longer recordings are fitted by windows."""
+"""Duration (s) above which recordings are fitted by overlapping windows."""
 KEYPOINT_OFFSET_DEVIATION = 0.005
-"""Standard deviation between people of where a detector places a joint, metres, for one frame.
-The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames are correlated."""
+"""Standard deviation (m) between people of the place where a detector sees a joint, for one frame.
+The true one is 1 to 2 cm; this is smaller as errors of neighbouring frames are correlated."""
 GROUND_DEVIATION = 0.001
-"""Metres and radians by which a plane that is given or seen may miss the ground: thousands of
-points see it, and no step of a person should outweigh them."""
+"""Standard deviation (m and rad) of the ground from a plane that is given or seen: thousands of
+points show it, and no step of a person should outweigh them."""
 ROUGH = FitOptions(prior=FIRST)
 
 
@@ -54,19 +54,19 @@ def fit_clip(
 ) -> ClipFit:
     """Fit clips to observations in the frame of the recording, with a leading axis of clips.
 
-    Clips of one batch are taken to be equally noisy; only one at a time may be long.
+    Clips of one batch are assumed to be equally noisy; a long recording must be the only clip.
 
-    Where the ground is not known, the pose prior alone finds a first motion, the way people stand
-    a first ground, and the method moves both further. Recordings longer than `LONG` keep the
-    ground found in their first seconds. Without any ground (`options.grounded`) the method
-    alone is fitted, in the frame of the observations.
+    If the ground is not known, the pose prior alone finds a first motion, whose standing feet and
+    posture give a first ground, and the prior's stages refine both. Recordings longer than `LONG`
+    keep the ground found in their first seconds. Without any ground (`options.grounded`) only the
+    motion is fitted, in the frame of the observations.
 
     Args:
-        observations: of the clips.
-        options: how to fit.
-        body: whose motion it is.
+        observations: sensors' data of the clips.
+        options: prior, noise and known quantities.
+        body: body model to be fitted.
         watch: called after every iteration.
-        start: a first guess in the frame of the observations, axes (clips, time), instead of one
+        start: a first guess in the frame of the observations, axes (clips, time); None takes it
             from the data.
 
     Raises:
@@ -84,7 +84,7 @@ def clip_problem(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> "ClipProblem":
-    """The problem to minimise: observations weighted by their noise, and the first motion."""
+    """Set up the fit: observations weighted by their noise, and the first motion."""
     noises = tuple(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
@@ -111,12 +111,12 @@ class ClipProblem:
     guess: FirstGuess
     noises: tuple[Noise, ...]
     offsets: int
-    """Rows of `Scene.offsets`."""
+    """Number of keypoints with an unknown offset, which are the rows of `Scene.offsets`."""
     body: BodyModel
     options: FitOptions
     watch: Watch | None
     repetition: float = 1.0
-    """Frames of a view that tell as much as one would without correlations in time."""
+    """Number of frames of a view that tell as much as one with independent errors."""
 
     def solved(self) -> ClipFit:
         """Fit the motion, and the ground where it is not known."""
@@ -145,8 +145,8 @@ class ClipProblem:
     def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
         """Fit under the pose prior, which needs no ground; return the problem and the motion.
 
-        One view whose noise nobody gave weighs less where its residuals about this motion repeat
-        from frame to frame: feet would follow them and slip.
+        If there is one view of unspecified noise, the returned problem weights it less where its
+        residuals about this motion repeat from frame to frame: feet would follow them and slip.
         """
         start = self.guess.motion
         first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
@@ -159,7 +159,7 @@ class ClipProblem:
         return replace(self, repetition=found), first.motion
 
     def _with_camera_scale(self) -> "ClipProblem":
-        """The problem with the camera's path scaled to metres by the feet of a first motion."""
+        """Scale the moving camera's path to metres, by the standing feet of a first motion."""
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
@@ -204,7 +204,7 @@ class ClipProblem:
 
     @property
     def long(self) -> bool:
-        """Whether the recording is fitted by windows."""
+        """Whether the recording is fitted by windows, as it is longer than `LONG`."""
         motion = self.guess.motion
         return (motion.frames - 1) / motion.fps > LONG
 
@@ -234,7 +234,7 @@ class ClipProblem:
         return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
-        """The scene before a fit: keypoint offsets of zero, a ground, a lens where unknown."""
+        """Create the scene before a fit: zero keypoint offsets, a ground, a lens where unknown."""
         clips = len(start.translation)
         scene = Scene.create(clips, self.offsets, like=start.translation)
         if not self.lens_unknown:
@@ -250,7 +250,7 @@ class ClipProblem:
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
     def stages(self, options: FitOptions, moved: frozenset[str], body: BodyModel) -> Stages:
-        """A function that makes the prior's stages for data, adapted to shape and scene."""
+        """Return a function that makes the prior's stages for data, adapted to shape and scene."""
         noise = min(noise.metres for noise in self.noises)
         prior = prior_stages(options, noise, body)
         known = options.shape_prior
@@ -296,8 +296,8 @@ class ClipProblem:
     ) -> Reconstruction:
         """Fit the whole clip from an initial motion, optimising the unknowns `moved` of the scene.
 
-        It is minimised on the device of the options; the result is on the device of the data.
-        Long clips find the scene in their first seconds and keep it.
+        The fit runs on the device of the options; the result is on the device of the data. Long
+        clips find the scene in their first seconds and keep it.
         """
         run = solve
         if self.long:
@@ -323,12 +323,12 @@ class ClipProblem:
         return seen or self.options.ground_given
 
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
-        """The observations with the scene's fitted unknowns inserted as known."""
+        """Return the observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
 
     def first_seconds(self) -> "ClipProblem":
-        """The first seconds of the clip, as long as a window of a long recording."""
+        """Cut out the first seconds of the clip, as long as a window of a long recording."""
         from recon.fitting.long import WINDOW  # imported here: only long recordings need it
 
         begin = self.guess.motion.start_time

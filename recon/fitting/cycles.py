@@ -1,4 +1,4 @@
-"""Gait cycles from sparse scans, landmarks or few frames: the best fit from many starts."""
+"""Fits gait cycles to sparse scans, landmarks or few frames: the best of fits from many starts."""
 
 import math
 from collections.abc import Sequence
@@ -33,34 +33,34 @@ from recon.method.terms import Term, offsets
 from recon.method.unknowns import Unknowns
 
 RATES = (30.0, 60.0)
-"""Frames per second at which cycles and recordings are completed, at least and at most."""
+"""Least and largest frame rate (Hz) at which cycles and recordings are completed."""
 
 
 def completion_rate(fps: float) -> float:
-    """A rate between `RATES` that is a multiple or a divisor of an observation's rate."""
+    """Return a frame rate within `RATES` that is a multiple or a divisor of an observation's."""
     if fps < RATES[0]:
         return fps * math.ceil(RATES[0] / fps)
     return fps / math.ceil(fps / RATES[1] - 1e-6)
 
 
 def on_fast_clock(sensor: Sensor) -> Sensor:
-    """The observation on a clock of at least 30 Hz; the moments that are added have no data.
+    """Return the observation with a rate of 30 Hz or more; frames that are added have no data.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
-    motion is too coarse to move as people do, and a moment counts for several. A sensor that moves
-    keeps its clock, since nobody knows where it is in between.
+    motion is too coarse for human movements, and a frame counts for several. A moving sensor keeps
+    its clock, as its pose is unknown in between.
     """
     times = math.ceil(RATES[0] / sensor.fps - 1e-6)
     return sensor if times <= 1 else sensor.on_faster_clock(times)
 
 
 def observations_in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations that measure positions in space."""
+    """Return the observations that measure positions in space."""
     return tuple(one for one in observations if one.places is not None)
 
 
 def moments_per_second(observations: Sequence[Sensor]) -> float:
-    """Frames with data per second, over all sensors."""
+    """Return the number of frames with data per second, over all sensors."""
     times = torch.cat([seen_times(one) for one in observations]).unique()
     if len(times) < 2:
         return 0.0
@@ -68,18 +68,18 @@ def moments_per_second(observations: Sequence[Sensor]) -> float:
 
 
 def seen_times(sensor: Sensor) -> Float[Tensor, " moments"]:
-    """Times of frames with data in any clip, seconds, rounded to milliseconds."""
+    """Return the times (s) of frames with data in any clip, rounded to milliseconds."""
     there = sensor.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
     return (sensor.start_time + there.double() / sensor.fps).mul(1000).round().div(1000)
 
 
 HEADINGS = 8
-"""Directions in which typical cycles are tried."""
+"""Number of headings in which typical cycles are tried."""
 
 
 @dataclass(frozen=True)
 class CycleClock:
-    """The clock on which cycles are decoded."""
+    """The frames (mask, rate, start time) at which gait cycles are decoded."""
 
     valid: Bool[Tensor, "clips time"]
     fps: float
@@ -87,7 +87,7 @@ class CycleClock:
 
     @classmethod
     def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
-        """A clock over all data, at the first observation's rate, a multiple or a divisor of it.
+        """Return a clock over all data, at a rate within `RATES` that suits the first observation.
 
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.
@@ -114,7 +114,7 @@ class CycleClock:
 def first_and_last_times(
     sensor: Sensor,
 ) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
-    """Times of the first and the last moment with data of each clip, s; infinite without data."""
+    """Return the times (s) of each clip's first and last frame with data; infinite if none."""
     there = sensor.shown.any(-1)
     times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
@@ -127,13 +127,13 @@ def typical_cycles(
     shape: Float[Tensor, " shape"],
     offsets: int,
 ) -> Hypotheses[Any]:
-    """First hypotheses: every typical cycle under several headings, along the observed path.
+    """Return first hypotheses: every typical cycle under several headings, on the observed path.
 
     Args:
-        prior: of cycles.
-        observations: of the clips.
-        clock: the moments of the cycles.
-        shape: of the body.
+        prior: prior of gait cycles.
+        observations: sensors' data of the clips.
+        clock: frames of the cycles.
+        shape: shape coefficients of the body.
         offsets: number of tracked points whose offset from the model is unknown.
     """
     typical = prior.typical
@@ -168,7 +168,7 @@ def typical_cycles(
 def _centroid_path(
     observations: Sequence[Sensor], clock: CycleClock
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
-    """The centroid of the data at the clock's frames, and which frames have data."""
+    """Return the centroid of the data at the clock's frames, and a mask of frames with data."""
     clips, moments = clock.valid.shape
     total = observations[0].values.new_zeros(clips, moments, 3)
     count = total.new_zeros(clips, moments, 1)
@@ -184,22 +184,22 @@ def _centroid_path(
 
 
 TRIED, KEPT = 16, 3
-"""Beginnings of a clip that are fitted roughly, and those of them that are fitted in full."""
+"""Number of starts per clip that are fitted roughly, and of those that are fitted in full."""
 NAMED_NOISE = 0.01
-"""Metres that joints and markers are off by, beside a constant offset."""
+"""Standard deviation (m) of joints and markers, apart from a constant offset."""
 MARKER_OFFSET_DEVIATION = 0.01
-"""Metres per axis by which markers are not where the model has them."""
+"""Standard deviation (m) of every coordinate of a marker's offset from the model's place."""
 DENSE = 200
-"""Points in the fullest frame from which on clouds tell what no code has."""
+"""Number of points in the fullest frame from which on clouds show details that codes lack."""
 FITTED = 256
-"""Points of a frame that are compared: smooth bodies need no more, and time grows with them."""
+"""Number of points of a frame that are compared: smooth bodies need no more, and time grows with
+it."""
 ROUGH_RATE = 15.0
-"""Frames per second, about, while first guesses are compared: a code moves all moments
-together."""
-_WORTH = 16
-"""Points that know their place on the body, as which the cloud of a frame counts."""
-_AT_ONCE = 96
-"""Beginnings that are looked at together."""
+"""Approximate frame rate (Hz) while starts are compared: a code moves all frames together."""
+_POINTS_PER_CLOUD = 16
+"""Number of named points that the cloud of a frame counts as."""
+_BATCH_SIZE = 96
+"""Number of starts that are evaluated in one batch."""
 
 
 def complete(
@@ -208,20 +208,20 @@ def complete(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> ClipFit:
-    """Fit one cycle to every clip of the batch.
+    """Fit one gait cycle to every clip of the batch.
 
-    A clip lasts from its first moment to the last that shows anything; its cycle is taken to
-    begin and end there, about.
+    A clip lasts from its first to its last frame with data; its cycle is assumed to begin and end
+    near these.
 
     Args:
-        observations: of the clips, which are independent of each other.
-        options: of the fit; its prior is of cycles, by name or loaded.
-        body: whose motion it is.
-        watch: told about every iteration.
+        observations: sensors' data of the clips, which are independent of each other.
+        options: options of the fit with a prior of cycles, by name or loaded.
+        body: body model to be fitted.
+        watch: called after every iteration.
 
     Raises:
-        ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
-            physics, a shape that is held or further terms are asked for.
+        ValueError: when no data measure positions in space, a clip does not last 0.3 to 3 s, or
+            physics, a held shape or further terms are asked for.
     """
     if options.physics != 0:
         raise ObservationError(
@@ -263,19 +263,19 @@ def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[A
 
 @dataclass(frozen=True)
 class _CycleCompletion:
-    """The stages from first hypotheses to one cycle for every clip."""
+    """The data and prior from which one cycle is fitted to every clip, in stages."""
 
     observations: tuple[Sensor, ...]
     noises: tuple[Noise, ...]
     prior: CyclePrior[Any]
     dense: bool
-    """Whether data are dense enough to tell what no code has."""
+    """Whether data are dense enough to show details that codes lack."""
     clock: CycleClock
     offsets: int
-    """Tracked points whose offset from the model is unknown."""
+    """Number of tracked points whose offset from the model is unknown."""
 
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
-        """The best fit of every clip."""
+        """Fit cycles from many starts in stages, and return the best fit of every clip."""
         prior, noise = self.prior, self.noise
         # compare first guesses by every `step`-th frame only
         step = max(round(self.clock.fps / ROUGH_RATE), 1)
@@ -289,7 +289,7 @@ class _CycleCompletion:
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
-        every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
+        every = torch.arange(len(began.unknowns.variables.latent)).split(_BATCH_SIZE)
         value = torch.cat([ranking_objective(search[0], began.rows(some), body) for some in every])
         data = data_terms(self.observations, weights)
         coded = prior.coded(data, noise)
@@ -308,11 +308,11 @@ class _CycleCompletion:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the least noisy observation, metres."""
+        """Standard deviation of the least noisy observation (m)."""
         return min(one.metres for one in self.noises)
 
     def _with_free_offsets(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
-        """The stages with free offsets of markers wherever the shape is free."""
+        """Return the stages with free offsets of markers wherever the shape is free."""
         if self.offsets == 0:
             return list(stages)
         held = Term("offsets", offsets, (self.noise / MARKER_OFFSET_DEVIATION) ** 2)
@@ -325,25 +325,26 @@ class _CycleCompletion:
 
 
 def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
-    """Stages of which the last keeps `count` hypotheses of every clip."""
+    """Return the stages, the last of which keeps the best `count` hypotheses of every clip."""
     return (*stages[:-1], replace(stages[-1], kept=count))
 
 
 def _with_fewer_frames(variables: Any, step: int) -> Any:
-    """The cycle decoded at fewer frames, which suffice to optimise a latent code."""
+    """Return the cycle decoded at fewer frames, which suffice to optimise a latent code."""
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
 
 def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
-    """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
+    """Take every `step`-th frame; thin clouds, and give them a robust kernel of fixed scale."""
     few = sensor.coarse(body, step)
     return few.derived(kernel=fixed_scale_kernel) if few.cloud else few
 
 
 def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
-    """The noise with which a cycle is fitted; a frame's cloud counts as `_WORTH` named points.
+    """Return the noise with which a cycle is fitted; a cloud counts as `_POINTS_PER_CLOUD` points.
 
-    Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
+    The noise is reduced for sparse frames, as energies are sums over all frames of the clock, with
+    or without data, taken at 30 Hz.
     """
     count = sensor.shown.sum(-1)
     typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
@@ -355,12 +356,12 @@ def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
     named = sensor.named is not None
     usual = NAMED_NOISE if named else CLOUD_NOISE
     noise = usual if given is None else given
-    cloud_factor = 1.0 if named else max(typical / _WORTH, 1.0)
+    cloud_factor = 1.0 if named else max(typical / _POINTS_PER_CLOUD, 1.0)
     return Noise(noise * (cloud_factor / worth) ** 0.5, noise)
 
 
 def _with_marker_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """The observations with unknown offsets of markers from the skin, and their number."""
+    """Add unknown offsets of markers from the skin; also return their number."""
     changed: list[Sensor] = []
     count = 0
     for one in observations:

@@ -1,7 +1,7 @@
-"""Facts that the fit of one view needs, found from a first motion under the pose prior.
+"""Finds from a first motion what the fit of one view needs besides the pose prior.
 
-How long errors of keypoints last, how large a person on a known ground is, and the unit of a
-camera's path. The pose prior needs no ground.
+This is the correlation of keypoint errors over time, the person's size over a known ground, and
+the unit of a camera's path. The first motion is fitted by the pose prior, which needs no ground.
 """
 
 import torch
@@ -17,16 +17,17 @@ from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
-_BALLS = [joint_index("left_foot"), joint_index("right_foot")]
-_MOST = 1.5
-"""Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
+_TOE_JOINTS = [joint_index("left_foot"), joint_index("right_foot")]
+_MAX_FACTOR = 1.5
+"""Factor by which first sizes may be wrong; beyond it, camera and ground contradict."""
 _MIN_CORRELATION = 0.1
-"""Correlations in time below this, and all of longer lags, are taken for none."""
+"""Correlation in time below which it, and those at longer lags, are taken as zero."""
 _MAX_REPETITION = 16.0
-"""Longer errors are those of the model, such as a wrong lens, rather than of a detector."""
-_FOLLOWED = 3.0
-"""Excess of the errors' repetition over that of residuals, as a fitted motion follows errors that
-last; chosen on simulated errors of BlazePose's size and duration, validation people."""
+"""Largest repetition; longer errors are the model's, such as a wrong lens, not a detector's."""
+_REPETITION_GAIN = 3.0
+"""Ratio of the excess of the errors' repetition over 1 to that of the residuals', as a fitted
+motion follows lasting errors; chosen on simulated errors of BlazePose's size and duration,
+validation people."""
 _OUTLIER_STDS = 3.0
 
 
@@ -36,20 +37,20 @@ def error_repetition(
     noise: float,
     rate: float = 1.0,
 ) -> float:
-    """Number of correlated frames that tell as much as one frame with independent errors.
+    """Return the number of correlated frames that tell as much as one with independent errors.
 
     The mean of N frames of errors with standard deviation s and correlations ρ_k at lags of k
-    frames has the variance s² (1 + 2 Σ ρ_k) / N, that of white noise σ² / N. The quotient of these
-    follows, from 1 to 16: one plus three times the excess of the residuals over one, as a motion
-    follows a part of the errors. `estimate_noise` does not see errors that last, because bodies
-    move as slowly: detectors of keypoints err by 1 to 2 cm for a sixth of a second. Constant
-    errors of a point are left out.
+    frames has the variance s² (1 + 2 Σ ρ_k) / N, that of white noise σ² / N. Their quotient,
+    computed for the residuals, exceeds 1 by a third of what that of the errors does, since a
+    motion follows a part of the errors; the result, from 1 to 16, is corrected for this.
+    `estimate_noise` does not see lasting errors, because bodies move as slowly: detectors of
+    keypoints err by 1 to 2 cm for a sixth of a second. Constant errors of a point are left out.
 
     Args:
         errors: residuals of every coordinate, measured minus fitted.
-        visible: which count.
+        visible: mask of the points that count.
         noise: σ, the standard deviation of white noise.
-        rate: frames that the energy counts for each of the data, such as 0.5 of data at 60 Hz.
+        rate: number of frames that the energy counts per frame of data, as 0.5 for data at 60 Hz.
     """
     shown = visible[..., None].to(errors)
     count = shown.sum(-3, keepdim=True).clamp(min=1)
@@ -70,11 +71,11 @@ def error_repetition(
             break
         repeated += 2 * correlation
     excess = variance / noise**2 * repeated * rate - 1
-    return min(1 + _FOLLOWED * max(excess, 0.0), _MAX_REPETITION)
+    return min(1 + _REPETITION_GAIN * max(excess, 0.0), _MAX_REPETITION)
 
 
 def repetition_in_view(view: Keypoints2D, estimate: Estimate, noise: float) -> float:
-    """`error_repetition` of a view's residuals about a fitted motion; noise in pixels."""
+    """Return `error_repetition` of a view's residuals about a fitted motion; noise in pixels."""
     with torch.no_grad():
         left = view.residuals(estimate)
     errors = left.values * left.weights[..., None]
@@ -82,13 +83,13 @@ def repetition_in_view(view: Keypoints2D, estimate: Estimate, noise: float) -> f
 
 
 def scaled_onto_ground(motion: Motion, view: Keypoints2D, body: BodyModel) -> Motion:
-    """The motion scaled about the camera until it stands on the ground z = 0.
+    """Return the motion scaled about the camera so that it stands on the ground z = 0.
 
-    What a camera sees does not change when everything is farther and larger by one factor.
+    What a camera sees does not change when everything is scaled about its centre.
     """
     eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
     factor = eye[:, 2] / (eye[:, 2] - sole_heights(motion, body))
-    factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
+    factor = torch.where((factor > 1 / _MAX_FACTOR) & (factor < _MAX_FACTOR), factor, 1.0)
     pelvis = body.rest_joints(motion.shape)[:, 0]
     place = motion.translation + (pelvis - eye)[:, None]
     return motion.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
@@ -99,9 +100,9 @@ def scaled_to_feet(
 ) -> tuple[Keypoints2D, Motion] | None:
     """Scale the camera's path to metres by standing feet, and move the motion with the camera.
 
-    None where the motion does not cover the view.
+    The result is None where the motion does not cover the view.
     """
-    feet = body.pose(motion).joints[..., _BALLS, :]
+    feet = body.pose(motion).joints[..., _TOE_JOINTS, :]
     there, _ = view.at_own_times(feet, motion)
     if there.shape[-3] < view.moments:
         return None

@@ -1,4 +1,4 @@
-"""Gait cycles found in a first fit, completed one by one and combined."""
+"""Completes gait cycles found in a first fit one by one, and combines them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from recon.method.running import run_stages
 from recon.method.sensor import Sensor
 
 CYCLE_DEVIATION = 0.03
-"""Metres by which joints of a completed cycle are taken to be off where nothing was seen. Of 3 and
-8 cm it was the better on one validation walk; it was not tuned any further."""
-_APART = 0.1
-"""Seconds between cycles that still belong to one stretch of gait."""
-_LEAST_SHARE = 0.1
-"""Weight of cycles at a moment below which they say nothing: nearer to an end of gait."""
-_COUNTED = 0.5
-"""What a coordinate adds to ½ Σ residual² / noise², when the noise is all that is left."""
+"""Standard deviation (m) of joints of a completed cycle where nothing was seen. Of 3 and 8 cm it
+was the better on one validation walk; it was not tuned any further."""
+_MAX_GAP_S = 0.1
+"""Time (s) between cycles up to which they belong to one stretch of gait."""
+_MIN_WEIGHT = 0.1
+"""Summed weight of cycles in a frame below which they are not used, near an end of gait."""
+_NOISE_ENERGY = 0.5
+"""Expected contribution of a coordinate to ½ Σ residual² / noise² if only noise is left."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class CompletedCycle:
 
     cycle: Cycle
     motion: Motion
-    """Motion from the cycle's start to its end; no batch axis."""
+    """Motion from the cycle's start to its end, without a batch axis."""
     energy: float
     """Energy of the data under the completed cycle: ½ Σ residual² / noise²."""
     first: float
     """Energy of the data under the first fit."""
     noise: float
-    """What noise alone would leave of it."""
+    """Energy that noise alone would leave."""
 
     @property
     def explains(self) -> bool:
@@ -53,10 +53,10 @@ class CompletedCycle:
 
 
 def stretches_of_cycles(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
-    """Cycles grouped into stretches, in which each follows or overlaps the one before."""
+    """Group cycles into stretches, in which each follows or overlaps the one before."""
     found: list[list[Cycle]] = []
     for cycle in sorted(cycles, key=lambda cycle: cycle.start):
-        if found and cycle.start <= max(one.stop for one in found[-1]) + _APART:
+        if found and cycle.start <= max(one.stop for one in found[-1]) + _MAX_GAP_S:
             found[-1].append(cycle)
         else:
             found.append([cycle])
@@ -73,11 +73,11 @@ class CycleData:
     body: BodyModel
 
     def completed(self, motion: Motion, cycle: Cycle) -> CompletedCycle | None:
-        """Fit one cycle from its motion in the first fit, with the same shape; None without data.
+        """Fit one cycle, starting from the first fit and keeping its shape; None without data.
 
         Args:
             motion: the first fit, without a batch axis.
-            cycle: of it.
+            cycle: gait cycle in the first fit.
         """
         parts = [one.window(cycle.start, cycle.stop) for one in self.observations]
         shown = [k for k, part in enumerate(parts) if bool(part.shown.any())]
@@ -104,27 +104,27 @@ class CycleData:
         return CompletedCycle(cycle, made, *energies, noise=self._half_coordinate_count(parts))
 
     def _half_coordinate_count(self, parts: Sequence[Sensor]) -> float:
-        """Half the number of independent measured coordinates in a cycle."""
+        """Return half the number of independent measured coordinates in a cycle."""
         total = 0.0
         for part, noise in zip(parts, self.noises, strict=True):
             coordinates = 1 if not part.point_names(self.body) else part.values.shape[-1]
             share = (noise.metres / noise.own) ** 2 * 30.0 / part.fps
-            total += _COUNTED * coordinates * share * int(part.shown.sum())
+            total += _NOISE_ENERGY * coordinates * share * int(part.shown.sum())
         return total
 
 
 def joints_of_cycles(
     cycles: Sequence[CompletedCycle], motion: Motion, body: BodyModel
 ) -> Joints3D:
-    """Joint positions from completed cycles, as further observations of the first fit's frames.
+    """Return joints of completed cycles, as further observations of the first fit's frames.
 
-    Every cycle counts as sin² of its phase, so that those which overlap fade into each other, and
-    the ends of a stretch of gait fade out: standard deviations grow there.
+    Every cycle is weighted by sin² of its phase, so that overlapping cycles fade into each other,
+    and the ends of a stretch of gait fade out: standard deviations grow there.
 
     Args:
-        cycles: that explain their data.
-        motion: the first fit, no batch axis.
-        body: whose motion it is.
+        cycles: completed cycles that explain their data.
+        motion: the first fit, without a batch axis.
+        body: body model of the motion.
     """
     share = torch.zeros(motion.frames)
     total = torch.zeros(motion.frames, len(JOINTS), 3)
@@ -135,9 +135,9 @@ def joints_of_cycles(
         share[inside] += weight
         joints = body.pose(one.motion.at(motion.times[inside], motion.fps)).joints
         total[inside] += weight[:, None, None] * joints
-    told = share > _LEAST_SHARE
+    told = share > _MIN_WEIGHT
     joints = torch.where(told[:, None, None], total / share.clamp(min=1e-6)[:, None, None], 0.0)
-    deviation = CYCLE_DEVIATION / share.clamp(min=_LEAST_SHARE, max=1.0).sqrt()
+    deviation = CYCLE_DEVIATION / share.clamp(min=_MIN_WEIGHT, max=1.0).sqrt()
     every = (1, motion.frames, len(JOINTS))
     return Joints3D(
         joints[None],

@@ -1,7 +1,7 @@
 """First guesses of an unknown ground, from standing people or from the camera's height.
 
-`recon.fitting.clip` decides whether the ground is unknown at all, and optimises the guess beside
-the motion (`recon.core.scene.UnknownGround`).
+`recon.fitting.clip` decides whether the ground is unknown at all, and optimises the guess together
+with the motion (`recon.core.scene.UnknownGround`).
 """
 
 import numpy as np
@@ -20,16 +20,18 @@ _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
 
 LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
-"""The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""
+"""First guess (n, d) of the ground n·x = d below a camera of unknown pose: level, 1.2 m below
+it."""
 _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
-"""A body that would look where the camera looks; its right is the image's."""
+"""Rotation of a body that looks where the camera looks; its right is the image's right."""
 
 
 def ground_by_posture(motion: Motion, body: BodyModel) -> UnknownGround:
-    """First guess of an unknown ground, one per clip, in a recording with an unknown up axis.
+    """Guess the unknown ground of each clip of a recording whose up axis is unknown.
 
-    Up is where heads are from between the ankles, on average over the frames: steps forward and
-    back, and leaning to either side, cancel. The ground is as high as the soles that stand.
+    Up is the direction from between the ankles to the head, averaged over the frames: steps
+    forward and back, and leaning to either side, cancel. The ground is at the height of the
+    standing soles.
     """
     up = mean_up(motion, body)
     pivot = point_below_pelvis(motion, body)
@@ -43,13 +45,13 @@ def ground_by_posture(motion: Motion, body: BodyModel) -> UnknownGround:
 
 
 def ground_by_feet(motion: Motion, body: BodyModel) -> UnknownGround:
-    """First guess of the ground in a recording whose z axis is up; only its height is unknown."""
+    """Guess the height of the ground in a recording whose z axis is known to be up."""
     ground = UnknownGround.create(point_below_pelvis(motion, body))
     return ground.replace(lift=-sole_heights(motion, body))
 
 
 def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
-    """Mean direction from the middle of the ankles to the head, a unit vector."""
+    """Return the mean direction from the middle of the ankles to the head, a unit vector."""
     joints = body.pose(motion).joints
     rise = joints[..., _HEAD, :] - joints[..., _ANKLES, :].mean(-2)
     rise = rise.where(motion.valid[..., None], 0.0)
@@ -57,14 +59,14 @@ def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
 
 
 def point_below_pelvis(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
-    """The point of the recording's z = 0 below the mean place of the pelvis, metres."""
+    """Return the point of the recording's z = 0 below the pelvis' mean position (m)."""
     pelvis = body.pose(motion).joints[..., 0, :].where(motion.valid[..., None], 0.0)
     mean = pelvis.sum(-2) / motion.valid.sum(-1, keepdim=True)
     return mean * mean.new_tensor([1.0, 1.0, 0.0])
 
 
 def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
-    """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
+    """Return T_recording_camera of a camera above the origin, from its ground plane n·x = d.
 
     Raises:
         ValueError: when the normal is zero, or the camera is below the ground.
@@ -78,9 +80,9 @@ def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray,
 
 
 def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
-    """T_world_frame of a frame in which the ground is n·x = d; z = 0 of the world is the ground.
+    """Return T_world_frame of a frame with the ground n·x = d, which is z = 0 in the world.
 
-    The frame's origin comes to lie over the world's, and the plane z = 0 changes nothing.
+    The frame's origin comes to lie above the world's; the plane z = 0 gives the identity.
 
     Raises:
         ValueError: when the normal is zero.

@@ -1,9 +1,9 @@
-"""Fit fingers to points of hands, after the body, whose wrists say where each hand is.
+"""Fits fingers to points of hands, after the body, whose wrists give each hand's place.
 
-A hand has 22 angles a frame, the length of every bone, the turn of its wrist, and how far the
-body's wrist is from the data's. Points count by their noise; what they leave open follows from
-how hands are at rest, how joints bend together, limits of joints, and smoothness. Joints of the
-body stay where they are: a wrist that turns moves none of them.
+A hand has 22 angles per frame, a length of every bone, a rotation of its wrist, and an offset of
+the body's wrist from the data's. Points are weighted by their noise; what they do not determine
+follows from how hands are at rest, how joints bend together, limits of joints, and smoothness.
+Joints of the body are unchanged: a wrist's rotation moves none of them.
 """
 
 from collections.abc import Sequence
@@ -24,20 +24,22 @@ from recon.method.protocols import REFERENCE_FPS
 from recon.solver.banded import Banded, Factor, add_differences
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
-_TURN, _AWAY, _BENDS = slice(0, 3), slice(3, 6), slice(6, 28)
+_TURN, _SHIFT, _ANGLES = slice(0, 3), slice(3, 6), slice(6, 28)
 _SIZE, _BONES, _POINTS = 28, 20, 21
-_TURN_STD, _AWAY_STD = np.deg2rad(60.0), 0.002
-"""Radians and metres that the wrist of a body that was fitted to other points is wrong by."""
+_TURN_STD, _SHIFT_STD = np.deg2rad(60.0), 0.002
+"""Standard deviations (rad, m) of the wrist of a body that was fitted to other points."""
 _LENGTH_STD, _SCALE_STD = 0.06, 0.1
-"""Of the logarithm of a bone's length, and of that of the whole hand's."""
+"""Standard deviations of the logarithms of a bone's length and of the hand's size."""
 _LIMIT_STD = np.deg2rad(1.0)
-"""Radians beyond a joint's limit that cost as much as one standard deviation of a point."""
-_BEND_STD, _TURN_BEND_STD, _AWAY_BEND_STD = np.deg2rad(2.5), np.deg2rad(2.5), 0.001
-"""Second differences at 30 Hz of angles, the wrist's turn and its offset (radians, metres)."""
-_PER_SECOND = 3.0
-"""How often what is expected of a pose counts: poses change little within a third of a second."""
-_ROBUST = 4.0
-"""Standard deviations beyond which a point counts ever less (Geman and McClure)."""
+"""Angle (rad) beyond a joint's limit that costs as much as a residual of one standard
+deviation."""
+_ANGLE_CHANGE_STD, _TURN_CHANGE_STD, _SHIFT_CHANGE_STD = np.deg2rad(2.5), np.deg2rad(2.5), 0.001
+"""Standard deviations of second differences at 30 Hz: finger angles (rad), wrist rotation (rad)
+and offset (m)."""
+_POSES_PER_S = 3.0
+"""Number of independent poses per second: poses change little within a third of a second."""
+_ROBUST_STDS = 4.0
+"""Residual, in standard deviations, beyond which a point counts ever less (Geman and McClure)."""
 _OPTIONS = GaussNewton(max_iterations=25, tolerance=1e-4)
 
 
@@ -46,23 +48,23 @@ class HandView:
     """Points of one hand that one sensor saw, in the frames of the motion, and their noise."""
 
     values: Float[Tensor, "time 21 dims"]
-    """World, metres, or pixels of a camera; zero where not seen."""
+    """World positions (m), or pixels of a camera; zero where not seen."""
     weights: Float[Tensor, "time 21"]
     """Confidence over the standard deviation of a coordinate; zero where not seen."""
     camera: Camera | None = None
-    """In the world, with one pose or one per frame; None for points in space."""
+    """Camera in the world, with one pose or one per frame; None for points in space."""
 
 
 @dataclass(frozen=True)
 class FittedHand:
-    """One hand after the fit."""
+    """Angles, wrist rotation, bone lengths and uncertainty of one fitted hand."""
 
     angles: Float[Tensor, "time 22"]
     wrist: Float[Tensor, "time 3 3"]
     """World rotation of the wrist."""
     lengths: Float[Tensor, " 20"]
     tip_std: Float[Tensor, "time 5"]
-    """Standard deviation of every tip about the wrist, metres, along its most uncertain axis."""
+    """Largest standard deviation (m) of every tip relative to the wrist, over all directions."""
     local: Float[Tensor, "time 15 3 3"]
 
 
@@ -77,33 +79,33 @@ def fit_hand(
     """Fit angles, wrist and bone lengths of one hand to the points that all sensors saw.
 
     Args:
-        views: with the same frames as the wrist; at least one.
-        model: of the person's hands.
-        side: 0 of the left hand, 1 of the right.
+        views: points by sensor, with the same frames as the wrist; at least one.
+        model: model of the person's hands.
+        side: 0 for the left hand, 1 for the right.
         wrist: world rotation of the body's wrist.
-        place: of the wrist, world, metres.
+        place: world position (m) of the wrist.
         fps: frames per second.
     """
-    share = min(1.0, _PER_SECOND / fps)
+    share = min(1.0, _POSES_PER_S / fps)
     base = wrist.double() @ _common_turn(views, model, side, wrist.double())
     problem = _Fingers(
-        tuple(views), model, side, base, place.double(), fps, _bend_precision() * share,
-        _TURN_STD * share**-0.5, _AWAY_STD * share**-0.5,
+        tuple(views), model, side, base, place.double(), fps, _angle_precision() * share,
+        _TURN_STD * share**-0.5, _SHIFT_STD * share**-0.5,
     )  # fmt: skip
     x = torch.zeros(len(base) * _SIZE + _BONES, dtype=torch.float64)
     frames = x[:-_BONES].view(len(base), _SIZE)
-    frames[:, _BENDS] = RELAXED
+    frames[:, _ANGLES] = RELAXED
     x, _ = minimise(problem, x[None], _OPTIONS)
     frames, lengths = problem.split_variables(x)
     posed = problem.posed(x)
     return FittedHand(
-        frames[:, _BENDS], so3.exp(frames[:, _TURN]) @ base, problem.bone_lengths(lengths),
+        frames[:, _ANGLES], so3.exp(frames[:, _TURN]) @ base, problem.bone_lengths(lengths),
         problem.tip_std(x), posed.local,
     )  # fmt: skip
 
 
-def _bend_precision() -> Float[Tensor, "22 22"]:
-    """Inverse covariance of the angles of hands about the relaxed one, 1 / radians².
+def _angle_precision() -> Float[Tensor, "22 22"]:
+    """Return the inverse covariance (1 / rad²) of finger angles about the relaxed hand.
 
     The outer joint of a finger bends two thirds of the middle one (Rijpkema and Girard 1991), and
     neighbouring fingers bend together: so few directions hold most of how hands grasp, as in
@@ -137,7 +139,7 @@ def _bend_precision() -> Float[Tensor, "22 22"]:
 def _common_turn(
     views: Sequence[HandView], model: HandModel, side: int, wrist: Float[Tensor, "time 3 3"]
 ) -> Float[Tensor, "3 3"]:
-    """Mean rotation from the body's wrist to the palm that points in space show."""
+    """Return the mean rotation from the body's wrist to the palm that points in space show."""
     palm = [0, 5, 9, 13, 17]
     total = torch.eye(3, dtype=torch.float64) * 1e-3
     bones = (model.directions[side] * model.lengths[side, :, None])[[4, 8, 12, 16]]
@@ -160,7 +162,7 @@ def _common_turn(
 
 @dataclass(frozen=True)
 class _Fingers(Problem[Tensor]):
-    """Least squares for one hand: 28 variables a frame, and the logarithms of bone lengths."""
+    """Least squares for one hand: 28 variables per frame, and logarithms of bone lengths."""
 
     views: tuple[HandView, ...]
     model_of_hand: HandModel
@@ -168,9 +170,9 @@ class _Fingers(Problem[Tensor]):
     base: Float[Tensor, "time 3 3"]
     place: Float[Tensor, "time 3"]
     fps: float
-    bends: Float[Tensor, "22 22"]
+    precision: Float[Tensor, "22 22"]
     turn_std: float
-    away_std: float
+    shift_std: float
 
     def split_variables(self, x: Tensor) -> tuple[Float[Tensor, "time 28"], Float[Tensor, " 20"]]:
         return x[0, :-_BONES].view(-1, _SIZE), x[0, -_BONES:]
@@ -182,25 +184,25 @@ class _Fingers(Problem[Tensor]):
         frames, lengths = self.split_variables(x)
         wrist = so3.exp(frames[:, _TURN]) @ self.base
         return self.model_of_hand.posed(
-            frames[:, _BENDS], wrist, self.place, self.side, self.bone_lengths(lengths)
+            frames[:, _ANGLES], wrist, self.place, self.side, self.bone_lengths(lengths)
         )
 
     def points(self, posed: PosedHand, away: Tensor) -> Float[Tensor, "time 21 3"]:
         return torch.cat((self.place[:, None], posed.points), 1) + away[:, None]
 
     def jacobian(self, x: Tensor, posed: PosedHand) -> Float[Tensor, "time 21 3 48"]:
-        """Derivative of the points by a frame's variables and by the logarithms of lengths."""
+        """Differentiate the points by a frame's variables and by the logarithms of lengths."""
         frames, lengths = self.split_variables(x)
         out = frames.new_zeros(len(frames), _POINTS, 3, _SIZE + _BONES)
         arm = posed.points - self.place[:, None]
         # a change of a rotation vector ω turns the hand by the left Jacobian, the right one of -ω
         out[:, 1:, :, _TURN] = -so3.hat(arm) @ right_jacobian(-frames[:, _TURN])[:, None]
-        out[:, :, :, _AWAY] = torch.eye(3).to(out)
+        out[:, :, :, _SHIFT] = torch.eye(3).to(out)
         lever = posed.points[:, :, None] - posed.pivots[:, None]
         moved = torch.linalg.cross(posed.axes[:, None].expand_as(lever), lever, dim=-1)
-        out[:, 1:, :, _BENDS] = (moved * _MOVES[..., None]).mT
+        out[:, 1:, :, _ANGLES] = (moved * _MOVED_POINTS[..., None]).mT
         stretched = posed.ways * self.bone_lengths(lengths)[:, None]
-        out[:, 1:, :, _SIZE:] = (stretched[:, None] * _BEHIND[..., None]).mT
+        out[:, 1:, :, _SIZE:] = (stretched[:, None] * _BONES_BEFORE[..., None]).mT
         return out
 
     def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
@@ -211,9 +213,9 @@ class _Fingers(Problem[Tensor]):
         curvature = frames.new_zeros(len(frames), _SIZE + _BONES, _SIZE + _BONES)
         slope = frames.new_zeros(len(frames), _SIZE + _BONES)
         for view in self.views:
-            away, bent = _residuals(view, self.points(posed, frames[:, _AWAY]), jacobian)
+            away, bent = _residuals(view, self.points(posed, frames[:, _SHIFT]), jacobian)
             size = away.square().sum(-1)
-            counts = (_ROBUST**2 / (_ROBUST**2 + size)).square()[..., None]
+            counts = (_ROBUST_STDS**2 / (_ROBUST_STDS**2 + size)).square()[..., None]
             curvature += torch.einsum("tpdi,tpd,tpdj->tij", bent, counts.expand_as(away), bent)
             slope += torch.einsum("tpdi,tpd->ti", bent, counts * away)
         about, diagonal = self._prior_derivatives(frames)
@@ -244,56 +246,56 @@ class _Fingers(Problem[Tensor]):
         return self._terms(x, self.posed(x))[None]
 
     def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
-        """Standard deviation of each tip relative to the wrist along its worst axis, metres."""
+        """Return the standard deviation (m) of each tip about the wrist in its worst direction."""
         quadratic = self.model(x, torch.zeros(1, dtype=torch.long))
         inverse = Factor(quadratic.hessian[0], 0.0).inverse()
         tips = self.jacobian(x, self.posed(x))[:, 4::4]
         own, sizes = tips[..., :_SIZE].clone(), tips[..., _SIZE:]
-        own[..., _AWAY] = 0
+        own[..., _SHIFT] = 0
         via = sizes - own @ inverse.onto[:, None]
         spread = own @ inverse.within[:, None] @ own.mT + via @ inverse.border @ via.mT
         return torch.linalg.eigvalsh(spread)[..., -1].clamp(min=0).sqrt()
 
     def _terms(self, x: Tensor, posed: PosedHand) -> Float[Tensor, " terms"]:
         frames, lengths = self.split_variables(x)
-        points = self.points(posed, frames[:, _AWAY])
+        points = self.points(posed, frames[:, _SHIFT])
         data = points.new_zeros(())
         for view in self.views:
             size = _residuals(view, points, None)[0].square().sum(-1)
-            data = data + 0.5 * (_ROBUST**2 * size / (_ROBUST**2 + size)).sum()
-        off, beyond = frames[:, _BENDS] - RELAXED, _excess_over_limits(frames[:, _BENDS])
+            data = data + 0.5 * (_ROBUST_STDS**2 * size / (_ROBUST_STDS**2 + size)).sum()
+        off, beyond = frames[:, _ANGLES] - RELAXED, _excess_over_limits(frames[:, _ANGLES])
         bend = frames.diff(n=2, dim=0)
-        usual = 0.5 * (off * (off @ self.bends)).sum()
+        usual = 0.5 * (off * (off @ self.precision)).sum()
         wrist = (frames[:, _TURN] / self.turn_std).square().sum()
-        wrist = wrist + (frames[:, _AWAY] / self.away_std).square().sum()
+        wrist = wrist + (frames[:, _SHIFT] / self.shift_std).square().sum()
         limits = 0.5 * (beyond / _LIMIT_STD).square().sum()
         smooth = 0.5 * (self._stiffness() * bend.square()).sum()
         sizes = 0.5 * lengths @ _length_precision() @ lengths
         return torch.stack((data, usual + limits, 0.5 * wrist, smooth, sizes))
 
     def _prior_derivatives(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient and Hessian of the prior energy of every frame's variables."""
+        """Return gradient and Hessian of the prior energy of every frame's variables."""
         gradient, hessian = torch.zeros_like(frames), frames.new_zeros(len(frames), _SIZE, _SIZE)
-        bends, beyond = frames[:, _BENDS], _excess_over_limits(frames[:, _BENDS])
-        gradient[:, _BENDS] = (bends - RELAXED) @ self.bends + beyond / _LIMIT_STD**2
-        hessian[:, _BENDS, _BENDS] = self.bends
-        hessian[:, _BENDS, _BENDS] += torch.diag_embed((beyond != 0) / _LIMIT_STD**2)
-        for part, std in ((_TURN, self.turn_std), (_AWAY, self.away_std)):
+        bends, beyond = frames[:, _ANGLES], _excess_over_limits(frames[:, _ANGLES])
+        gradient[:, _ANGLES] = (bends - RELAXED) @ self.precision + beyond / _LIMIT_STD**2
+        hessian[:, _ANGLES, _ANGLES] = self.precision
+        hessian[:, _ANGLES, _ANGLES] += torch.diag_embed((beyond != 0) / _LIMIT_STD**2)
+        for part, std in ((_TURN, self.turn_std), (_SHIFT, self.shift_std)):
             gradient[:, part] = frames[:, part] / std**2
             hessian[:, part, part] += torch.eye(3).to(frames) / std**2
         return gradient, hessian
 
     def _stiffness(self) -> Float[Tensor, " 28"]:
-        """Inverse variance of second differences at the frame rate."""
-        std = self.base.new_full((_SIZE,), _BEND_STD)
-        std[_TURN], std[_AWAY] = _TURN_BEND_STD, _AWAY_BEND_STD
+        """Return the inverse variance of second differences at the frame rate, per variable."""
+        std = self.base.new_full((_SIZE,), _ANGLE_CHANGE_STD)
+        std[_TURN], std[_SHIFT] = _TURN_CHANGE_STD, _SHIFT_CHANGE_STD
         return (std * (REFERENCE_FPS / self.fps) ** 2).square().reciprocal()
 
 
 def _residuals(
     view: HandView, points: Float[Tensor, "time 21 3"], jacobian: Tensor | None
 ) -> tuple[Tensor, Tensor | None]:
-    """Predicted minus seen over their noise, and its derivative by the variables."""
+    """Return predicted minus seen values over their noise, and their derivatives."""
     weights = view.weights.to(points)[..., None]
     if view.camera is None:
         bent = None if jacobian is None else weights[..., None] * jacobian
@@ -315,7 +317,7 @@ def _residuals(
 
 
 def _excess_over_limits(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
-    """Radians beyond the limits; negative below the smallest angle."""
+    """Return the angles (rad) beyond the limits; negative below the smallest angle."""
     return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
 
 
@@ -327,7 +329,7 @@ def _length_precision() -> Float[Tensor, "20 20"]:
 def _transposed_differences(
     bend: Float[Tensor, "steps n"], frames: int
 ) -> Float[Tensor, "time n"]:
-    """The transpose of taking second differences."""
+    """Apply the transpose of the operator that takes second differences over time."""
     out = bend.new_zeros(frames, bend.shape[-1])
     for k, share in enumerate((1.0, -2.0, 1.0)):
         out[k : k + len(bend)] += share * bend
@@ -335,7 +337,7 @@ def _transposed_differences(
 
 
 def _dependence_masks() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
-    """Masks: the points that each angle moves, and the bones that each point lies behind."""
+    """Return masks of the points that each angle moves, and of the bones before each point."""
     point = torch.arange(_BONES)
     finger, place = point // 4, point % 4
     joint = torch.tensor(JOINT_OF_ANGLE)
@@ -343,4 +345,4 @@ def _dependence_masks() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
     return moves, (finger[:, None] == finger) & (place[:, None] >= place)
 
 
-_MOVES, _BEHIND = _dependence_masks()
+_MOVED_POINTS, _BONES_BEFORE = _dependence_masks()

@@ -1,4 +1,4 @@
-"""Interpolation between two cycles of motion in the latent space."""
+"""Interpolates between two gait cycles in the prior's latent space."""
 
 import math
 
@@ -20,21 +20,21 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 
-_RETURN = math.radians(10)
-"""How near to its start the flexion of either hip comes back in a file that is one cycle."""
-_SIDES = ((7, 10), (8, 11))
-"""Ankle and toes, left and right."""
-_WHOLE = 0.5
-"""Share of such a file that a cycle found in it lasts; with shorter ones it is several."""
+_MAX_RETURN_RAD = math.radians(10)
+"""Largest difference (rad) of either hip's flexion between start and end of a whole cycle."""
+_FEET = ((7, 10), (8, 11))
+"""Joint indices of ankle and toes, left and right."""
+_MIN_CYCLE_SHARE = 0.5
+"""Share of a clip that a cycle found in it must last; with shorter ones it is several cycles."""
 
 
 def interpolated_cycle(
     prior: AnchorFrames, a: AnchorVariables, b: AnchorVariables, share: float
 ) -> AnchorVariables:
-    """The cycles `share` of the way from `a` to `b`: (1-k) z_a + k z_b, and so their shapes.
+    """Interpolate latent codes and shapes of cycles: (1-k) z_a + k z_b with k = `share`.
 
-    Marsot et al., section 5.2. Codes hold neither heading nor place on the ground: the first
-    pelvis lies between theirs, and the heading on the shorter arc between theirs.
+    See Marsot et al., section 5.2. Codes hold neither heading nor place on the ground: the first
+    pelvis lies between those of `a` and `b`, and the heading on the shorter arc between theirs.
     """
     shape = torch.lerp(a.shape, b.shape, share)
     base = [x.base for x in (a, b)]
@@ -55,10 +55,10 @@ def interpolated_cycle(
 
 
 def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
-    """A batch of one cycle decoded to a motion at `fps`, beginning at its first anchor.
+    """Decode a batch of one cycle to a motion at `fps` that begins at its first anchor.
 
     Raises:
-        ValueError: when it lasts no time that a cycle can last.
+        ValueError: when its duration is not plausible for a cycle.
     """
     with torch.no_grad():
         anchors: Anchors = prior.anchors(variables)
@@ -74,17 +74,17 @@ def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float)
 
 
 def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
-    """The cycles of one clip; the whole clip where it is one cycle itself.
+    """Find the gait cycles of one clip; the whole clip if it is one cycle itself.
 
-    It is when it lasts 0.3 to 3 s, its hips come back to where they began, and no cycle found
-    in it is much shorter. It begins with the foot of the thigh that is in front.
+    It is one if it lasts 0.3 to 3 s, its hips return to where they began, and no cycle found in it
+    is much shorter. It begins with the foot of the thigh that is in front.
     """
     found = find_cycles(motion)
     last = (motion.frames - 1) / motion.fps
     flexion = hip_flexion(motion)
-    returns = abs(flexion[-1] - flexion[0]).max() <= _RETURN
-    swings = (flexion.max(0) - flexion.min(0)).max() > _RETURN
-    long = all(cycle.duration > _WHOLE * last for cycle in found)
+    returns = abs(flexion[-1] - flexion[0]).max() <= _MAX_RETURN_RAD
+    swings = (flexion.max(0) - flexion.min(0)).max() > _MAX_RETURN_RAD
+    long = all(cycle.duration > _MIN_CYCLE_SHARE * last for cycle in found)
     if not (SHORTEST_CYCLE <= last <= LONGEST_CYCLE and returns and swings and long):
         return found
     left, right = flexion[0]
@@ -94,20 +94,20 @@ def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
 
 
 def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batch time"]:
-    """How much higher the left foot is than the right, each by its lower joint, metres."""
-    left, right = (joints[..., [foot, toe], 2].amin(-1) for foot, toe in _SIDES)
+    """Return the height (m) of the left foot above the right, each by its lower joint."""
+    left, right = (joints[..., [foot, toe], 2].amin(-1) for foot, toe in _FEET)
     return left - right
 
 
 def curve_correlation(
     a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
 ) -> Float[Tensor, "first second"]:
-    """Uncentred correlation of two sets of curves, -1 to 1."""
+    """Return the uncentred correlations (-1 to 1) of two sets of curves."""
     unit = [x / x.norm(dim=-1, keepdim=True).clamp(min=1e-9) for x in (a, b)]
     return unit[0] @ unit[1].mT
 
 
 def _homogeneous_pelvis(prior: AnchorFrames, shape: Tensor) -> Tensor:
-    """The unposed pelvis as a homogeneous column."""
+    """Return the pelvis of the rest pose as a homogeneous column vector."""
     pelvis = rest_pelvis(prior.body, shape)
     return torch.cat((pelvis, torch.ones_like(pelvis[..., :1])), -1)[..., None]

@@ -1,4 +1,4 @@
-"""Recordings of any length: overlapping windows with one shape, consistent where they overlap."""
+"""Fits recordings of any length by overlapping windows with one shape and matching overlaps."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,17 +26,17 @@ from recon.method.windows import joined_windows
 from recon.solver.lbfgs import Progress, Solution
 
 WINDOW, OVERLAP = 4.0, 1.0
-"""Seconds that a window lasts at most, and that it shares with each neighbour."""
+"""Longest duration (s) of a window, and the time (s) that it shares with each neighbour."""
 TIE = 1.0
-"""What a joint of a finished neighbour weighs against a joint of the first observation."""
+"""Weight of a joint of a finished neighbouring window relative to one of the first observation."""
 
 
 @dataclass(frozen=True)
 class LongReconstruction(Reconstruction):
     """The reconstruction of a long clip, joined from its windows, and their reports.
 
-    A report has a row for every window that was fitted alike: some for their `shape`, then every
-    other window `apart`, then those between, `tied` to their neighbours.
+    A report has one row per window of a round of fits: first some windows for their `shape`, then
+    every other window `apart`, then those between, `tied` to their neighbours.
     """
 
     @property
@@ -57,25 +57,25 @@ def fit_long(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> LongReconstruction:
-    """Fit one clip of any length: time grows with the length, memory hardly.
+    """Fit one clip of any length; time grows with the length, memory hardly.
 
-    The recording is cut into overlapping windows. Some, spread over it, are fitted up to the
-    first stage that moves the shape; the median of their shapes is the shape of all. Then every
+    The recording is cut into overlapping windows. Some, spread over it, are fitted up to the first
+    stage that moves the shape; the median of their shapes becomes the shape of all. Then every
     other window is fitted apart from the others, and then those between, tied to the joints of
     their finished neighbours where they overlap (the alternating method of Schwarz in two
-    colours). Last, neighbours fade into each other.
+    colours). At last, neighbouring windows are blended where they overlap.
 
     Args:
         observations: adapters with the data of one clip inside, a leading axis of length one;
             the first one gives the first guess and the span.
-        prior: as of `recon.solve`.
-        body: whose motion it is; None is the bundled body.
-        window: seconds that a window lasts at most.
-        overlap: seconds that neighbours share, at most 40 % of a window.
-        start: a first guess of the whole clip instead, axes (1, time).
-        scene: what surrounds the motion, of one clip; windows share it and do not move it.
-        weights: multiplier of each observation; None weighs all equally.
-        watch: told about every iteration; the stage's name begins with what it is for.
+        prior: prior or stages, as for `recon.solve`.
+        body: body model to be fitted; None is the bundled body.
+        window: longest duration of a window, seconds.
+        overlap: time that neighbours share, seconds, at most 40 % of a window.
+        start: first guess of the whole clip, axes (1, time); None takes it from the data.
+        scene: ground and cameras of one clip; windows share it and do not change it.
+        weights: multiplier of each observation; None weights all equally.
+        watch: called after every iteration; the stage's name begins with that of the round.
 
     Raises:
         ValueError: when there is no observation or not exactly one clip, one of them cannot be
@@ -116,7 +116,7 @@ def fit_long(
 
 @dataclass(frozen=True)
 class _WindowFits:
-    """Motions of the windows that were fitted in one round."""
+    """Motions of the windows that were fitted in one round, with reports and failures."""
 
     motions: dict[int, Motion]
     failed: tuple[int, ...]
@@ -124,16 +124,16 @@ class _WindowFits:
 
     @property
     def fps(self) -> float:
-        """The lowest frame rate among the windows; fast motions may be fitted at a higher one."""
+        """Lowest frame rate among the windows; fast motions may be fitted at a higher one."""
         return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
     def neighbours(self, row: int) -> list[Motion]:
-        """The neighbouring windows, without those that failed."""
+        """Return the fitted motions of the neighbouring windows, without those that failed."""
         sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
         return [self.motions[k] for k in sound]
 
     def shape(self) -> Float[Tensor, " shape"]:
-        """Median shape of the windows that did not fail, or of all windows if all failed."""
+        """Return the median shape of the windows that did not fail, or of all if all failed."""
         good = [motion for row, motion in self.motions.items() if row not in self.failed]
         shapes = [motion.shape for motion in good or self.motions.values()]
         return torch.stack(shapes).quantile(0.5, dim=0)
@@ -141,7 +141,7 @@ class _WindowFits:
 
 @dataclass(frozen=True)
 class _WindowFitter:
-    """The recording, body, scene and weights with which batches of windows are fitted."""
+    """Fits batches of windows of one recording with a common body, scene and weights."""
 
     recording: LongRecording
     body: BodyModel

@@ -1,4 +1,4 @@
-"""One long recording cut into windows: data, first guess and neighbours of each."""
+"""Cuts one long recording into windows: data, first guess and neighbours of each."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -23,29 +23,29 @@ from recon.method.timing import at_observation_times
 from recon.method.windows import Windows, smooth_ramp
 
 AT_ONCE = 8
-"""Windows fitted as one batch, so that memory does not grow with the recording."""
+"""Number of windows fitted as one batch, so that memory does not grow with the recording."""
 
-_LEAST_FRAMES = 12
-"""Frames of a window, at least."""
-_LONGEST_STEP = 0.2
-"""Seconds within which a recording's frames must meet those at 30 Hz for windows to begin there;
-where they do not, results at 30 Hz are interpolated."""
-_MICROSECONDS = 6
-"""Digits of a second to which clocks are compared."""
+_MIN_FRAMES = 12
+"""Least number of frames of a window."""
+_MAX_STEP_S = 0.2
+"""Time (s) within which a recording's frames must coincide with those at 30 Hz for windows to
+begin there; where they do not, results at 30 Hz are interpolated."""
+_CLOCK_DIGITS = 6
+"""Number of decimal digits of a second to which clocks are compared."""
 
 
 @dataclass(frozen=True)
 class OverlapEnergy(TensorStruct):
-    """½ Σ w |p - p̂|² of joints p from those p̂ of the neighbours, at 30 Hz; metres²."""
+    """Energy ½ Σ w |p - p̂|² (m², 30 Hz) of joints p from the neighbouring windows' joints p̂."""
 
     joints: Float[Tensor, "*batch time 22 3"]
-    """Joints of the neighbours from the window's first moment on; zero where the weight is."""
+    """Joints of the neighbours (m) from the window's first frame on; zero where the weight is."""
     weight: Float[Tensor, "*batch time"]
-    """The neighbour's own share of the joined motion: one at its inside, zero at its border."""
+    """The neighbour's share in the joined motion, from one at its inside to zero at its border."""
     fps: float
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """The energy of the frames that are estimated; the window's clock begins at zero."""
+        """Return the energy over the estimated frames; the window's clock begins at zero."""
         joints, seen = at_observation_times(
             estimate.body.joints, estimate.motion,
             fps=self.fps, start_time=0.0, moments=self.joints.shape[-3],
@@ -55,16 +55,16 @@ class OverlapEnergy(TensorStruct):
 
     @property
     def start_time(self) -> float:
-        """The window's clock begins at zero."""
+        """Start of the window on its own clock (s), which is zero."""
         return 0.0
 
     @property
     def moments(self) -> int:
-        """Number of moments."""
+        """Number of frames of the window."""
         return self.joints.shape[-3]
 
     def point_model(self, points: Float[Tensor, "*batch time 22 3"]) -> PointModel:
-        """Quadratic model of the energy about predicted joints, metres."""
+        """Return a quadratic model of the energy about predicted joints (m)."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
         return quadratic_model(points, self.joints, weights, squared, rate)
@@ -72,7 +72,7 @@ class OverlapEnergy(TensorStruct):
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
-        """The joints as points of a body of a given shape."""
+        """Describe the joints as points attached to a body of a given shape."""
         del offsets
         return CarriedPoints.joints(body, shape)
 
@@ -83,7 +83,7 @@ class LongRecording:
 
     observations: Sequence[Sensor]
     guess: Motion
-    """No batch axis."""
+    """First guess of the whole motion, without a batch axis."""
     windows: Windows
 
     @classmethod
@@ -95,7 +95,7 @@ class LongRecording:
         overlap: float,
         start: Motion | None = None,
     ) -> "LongRecording":
-        """Cut into windows of some seconds that begin at multiples of 1/30 s where possible.
+        """Cut into windows of `window` seconds that begin at multiples of 1/30 s where possible.
 
         Raises:
             ValueError: when there is no observation or not exactly one clip, one of them cannot
@@ -117,32 +117,32 @@ class LongRecording:
                 f"{tuple(guess.translation.shape)}; fit long clips one after the other"
             )
         # at a low frame rate a window of this duration has few frames
-        longest = max(round(window * guess.fps) + 1, _LEAST_FRAMES)
+        longest = max(round(window * guess.fps) + 1, _MIN_FRAMES)
         shared = max(round(overlap * guess.fps), 1)
         windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
         return cls(observations, guess[0], windows)
 
     def time_range(self, row: int) -> tuple[float, float]:
-        """First and last moment of a window, seconds."""
+        """Return the times (s) of a window's first and last frame."""
         start = self.guess.start_time + self.windows.starts[row] / self.guess.fps
         return start, start + (self.windows.frames - 1) / self.guess.fps
 
     def first_guess(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
-        """A window's first guess; its clock begins at zero."""
+        """Return a window's first guess, with the given shape and a clock that begins at zero."""
         first = self.windows.starts[row]
         motion = self.guess.window(first, first + self.windows.frames)
         return motion.replace(start_time=0.0, shape=shape)
 
     def observations_of(self, row: int) -> tuple[Sensor, ...]:
-        """A window's observations; its clock begins at zero."""
+        """Return a window's observations on a clock that begins at zero."""
         start, stop = self.time_range(row)
         parts = [observation.window(start, stop) for observation in self.observations]
         return tuple(
-            p.derived(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
+            p.derived(start_time=round(p.start_time - start, _CLOCK_DIGITS)) for p in parts
         )
 
     def batches(self, rows: Sequence[int]) -> Iterator[list[int]]:
-        """Small batches of windows whose observations begin at the same times after the start."""
+        """Yield batches of windows whose observations begin at equal times after the start."""
 
         def clocks(row: int) -> tuple[float, ...]:
             return tuple(part.start_time for part in self.observations_of(row))
@@ -155,7 +155,7 @@ class LongRecording:
     def tie(
         self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel
     ) -> OverlapEnergy:
-        """The energy that keeps a window near its finished neighbours where they overlap."""
+        """Return the energy that keeps a window near its finished neighbours in the overlap."""
         (start, stop), like = self.time_range(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
@@ -170,8 +170,8 @@ class LongRecording:
 
 
 def _common_step(fps: float) -> int:
-    """Frames after which a clock coincides with one at 30 Hz again; 1 if not within 0.2 s."""
+    """Return the frames after which a clock meets one at 30 Hz again; 1 if not within 0.2 s."""
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps
     meets = abs(others - round(others)) < 1e-6
-    return step if meets and 1 <= step <= _LONGEST_STEP * fps else 1
+    return step if meets and 1 <= step <= _MAX_STEP_S * fps else 1

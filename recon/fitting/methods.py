@@ -1,4 +1,4 @@
-"""Options of a fit, and loading of its prior by name."""
+"""The options of a fit, and functions that load its prior by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ Method = str | Callable[..., Any]
 
 
 def class_of(prior: str) -> Any:
-    """The class of a prior, by its registered name or its place "package.module:Class".
+    """Return the class of a prior, by its registered name or by "package.module:Class".
 
     Raises:
         WeightsError: when there is no such prior.
@@ -40,7 +40,7 @@ def class_of(prior: str) -> Any:
 
 
 def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
-    """The prior, loaded with its weights; an object is returned as it is.
+    """Return the prior, loaded with its weights; an object is returned as it is.
 
     A class is loaded by `load(weights, body)`; without such a method it is made without arguments.
 
@@ -75,7 +75,7 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
 
 
 def trait_of(prior: str | PriorLike, name: str) -> bool:
-    """The trait `knows_gravity` or `completes` of a prior, without loading its weights."""
+    """Return the trait `knows_gravity` or `completes` of a prior, without loading its weights."""
     return trait(class_of(prior) if isinstance(prior, str) else prior, name)
 
 
@@ -87,7 +87,7 @@ def is_preview(method: Method | None) -> bool:
 
 
 def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
-    """The name of a way to fit a prior, one of its `methods`, or None for the usual one.
+    """Return the name of a way to fit a prior, one of its `methods`, or None for the default.
 
     Raises:
         ReconError: when the prior has no such method.
@@ -106,14 +106,14 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """The prior of a fit, the noise of the data, and what else the fit should heed."""
+    """Prior of a fit, noise of the data, known shape and ground, and further energies."""
 
     prior: str | PriorLike = "humor"
-    """A registered name, the place of a class, or a loaded prior."""
+    """A registered name, the place "package.module:Class" of a class, or a loaded prior."""
     weights: str = "open"
     """Weights of a prior that is given by its name: `open` or a file."""
     method: Method | None = None
-    """One of the prior's `methods`, or a network that gives a preview; None is the usual way."""
+    """One of the prior's `methods`, or a network that gives a preview; None is the default way."""
     noise: tuple[float | None, ...] = ()
     """Standard deviation of each observation's coordinates in its own unit (metres, or pixels of
     keypoints); None, and an empty tuple, estimate it from the data."""
@@ -128,11 +128,11 @@ class FitOptions:
     shape: Float[Tensor, " shape"] | None = None
     """Shape coefficients that are held; None estimates them."""
     shape_prior: ShapePrior | None = None
-    """What is known of the shape, where it is not held."""
+    """Mean and covariance of the shape, where it is not held."""
     terms: tuple[Term, ...] = ()
     """Further energies, added in every stage that moves poses."""
     device: str = "cpu"
-    """Where stages are minimised; everything before and after them is on the processor."""
+    """Device on which stages are minimised; all other steps run on the processor."""
 
     def __post_init__(self) -> None:
         """Refuse priors that depend on the height above the ground when there is no ground.
@@ -157,7 +157,7 @@ class FitOptions:
 
     @property
     def completes(self) -> bool:
-        """Whether the prior knows whole gait cycles, for which beginnings are searched."""
+        """Whether the prior is of whole gait cycles, which are searched from many starts."""
         return trait_of(self.prior, "completes")
 
     @property
@@ -167,11 +167,11 @@ class FitOptions:
 
     @property
     def starting_shape(self) -> Float[Tensor, " shape"] | None:
-        """Shape coefficients that a fit starts from, where any are known."""
+        """Shape coefficients that a fit starts from; None where none are known."""
         if self.shape is None and self.shape_prior is not None:
             return self.shape_prior.mean
         return self.shape
 
     def noise_of(self, row: int) -> float | None:
-        """The standard deviation given for an observation, by its number."""
+        """Return the standard deviation given for an observation, by its number; else None."""
         return self.noise[row] if self.noise else None

@@ -1,11 +1,11 @@
-"""Complete sparse recordings of any length: first fit any motion, then refine gait by its cycles.
+"""Completes sparse recordings of any length: fits any motion, then refines gait by its cycles.
 
-A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
-moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
-of it. So every cycle that the hips of the first fit tell is completed from its data; those that
-explain them join the data of a second fit of the whole. It follows the data where there are any,
-cycles in between, fades from one into the next and is smooth everywhere, with one shape. A
-recording that is one cycle, seen at few moments, is completed as one code from many beginnings.
+A fit with a prior of any motion explains the whole recording, by windows, with one shape. Where
+few frames were seen, the motion in between is a guess of that prior, and in gait a prior of cycles
+knows more. So every cycle that the hips of the first fit show is completed from its data; cycles
+that explain them join the data of a second fit of the whole recording. It follows the data where
+there are any and cycles in between, and is smooth everywhere. A recording that is one cycle, seen
+in few frames, is completed as one code from many starts.
 """
 
 from collections.abc import Sequence
@@ -39,15 +39,15 @@ from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 FEW = 12.0
-"""Moments per second below which cycles of gait tell something of what happens in between."""
+"""Frames with data per second below which cycles of gait help to fill in what happens between."""
 SWING = 0.3
 """Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
 Of the cycles that it finds in the validation motions, 96 % are below, and the others are people
 who stand; all completions of motions without cycles were above."""
-_COVERED = 0.75
-"""Share of a recording that its one cycle must last."""
-_LEAST = 0.05
-"""Seconds of a stretch that is worth a line."""
+_MIN_COVERED = 0.75
+"""Share of a recording that its only cycle must last."""
+_MIN_STRETCH_S = 0.05
+"""Duration (s) above which a stretch is reported."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ class WholeRecording:
 
     completes: ClassVar[bool] = True
     steps: str = "humor"
-    """Prior of any motion, by its name."""
+    """Name of the prior of any motion."""
     cycles: str | None = "anchor"
-    """Prior of cycles, by its name; None does without."""
+    """Name of the prior of gait cycles; None for none."""
     weights: str = "open"
-    """Weights of the prior of any motion."""
+    """Weights of the prior of any motion, `open` or a file."""
     cycle_weights: str = "open"
-    """Weights of the prior of cycles."""
+    """Weights of the prior of cycles, likewise."""
 
     @classmethod
     def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
-        """The two default priors, both with the weights of this name.
+        """Return the two default priors, both with the weights of this name.
 
         Raises:
             WeightsError: when it is not `open`.
@@ -91,14 +91,14 @@ def complete_recording(
     """Fit one motion to a sparse recording: any motion first, then gait, cycle by cycle.
 
     Args:
-        observations: of one clip.
-        prior: of any motion, and of cycles.
-        options: of the fit; its prior is not looked at.
-        body: whose motion it is.
-        watch: told about every iteration.
+        observations: sensors' data of one clip.
+        prior: the priors of any motion and of cycles.
+        options: options of the fit; the prior in them is ignored.
+        body: body model to be fitted.
+        watch: called after every iteration.
 
     Raises:
-        ObservationError: when at most one moment shows anything.
+        ObservationError: when at most one frame has data.
     """
     placed = observations_in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
@@ -145,7 +145,7 @@ def _one_cycle(
     body: BodyModel,
     watch: Watch | None,
 ) -> ClipFit | None:
-    """The recording as one cycle of gait; None if it lasts longer or its hips do not show one."""
+    """Fit the recording as one gait cycle; None if it is longer or its hips do not show one."""
     seen = observations_in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
@@ -159,7 +159,7 @@ def _one_cycle(
     cycles = loaded_prior(prior.cycles, prior.cycle_weights, body)
     fit = complete(seen, replace(options, prior=cycles), body, watch)
     motion = fit.result.clip(0).detach()
-    covered = [one for one in find_cycles(motion, SWING) if one.duration >= _COVERED * seconds]
+    covered = [one for one in find_cycles(motion, SWING) if one.duration >= _MIN_COVERED * seconds]
     if not covered:
         return None
     start, stop = motion.start_time, float(motion.times[-1])
@@ -167,11 +167,11 @@ def _one_cycle(
 
 
 def given_or_usual_noise(sensor: Sensor, given: float | None, few_moments: bool) -> float | None:
-    """The noise to pass on for an observation; None leaves it to be estimated.
+    """Return the noise (m) to assume for an observation; None leaves it to be estimated.
 
-    Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
-    30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
-    a moment, which a smaller noise makes up for.
+    Noise cannot be estimated from few frames, so the usual one is assumed unless it is given.
+    Energies are taken at 30 Hz whatever the clock: few frames with data on a fast clock would each
+    count for less than a frame, for which a smaller noise compensates.
     """
     if not few_moments or sensor.places is None:
         return given
@@ -187,7 +187,7 @@ def _completed_gait(
     body: BodyModel,
     motion: Motion,
 ) -> list[list[CompletedCycle]]:
-    """The cycles of every stretch of gait of a first fit, completed from the data."""
+    """Complete the cycles of every stretch of gait of a first fit from the data."""
     if prior.cycles is None or not (found := find_cycles(motion)):
         return []
     cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
@@ -206,7 +206,7 @@ def _gait_stretches(
     motion: Motion,
     prior: WholeRecording,
 ) -> tuple[Stretch, ...]:
-    """Partition of the recording into stretches of gait and the rest."""
+    """Partition the recording into stretches of gait and the rest."""
     times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
 
     def count_between(start: float, stop: float) -> int:
@@ -216,7 +216,7 @@ def _gait_stretches(
     at = motion.start_time
     for cycles in gait:
         start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
-        if start - at > _LEAST:
+        if start - at > _MIN_STRETCH_S:
             told.append(Stretch(at, start, prior.steps, count_between(at, start)))
         joined = sum(one.explains for one in cycles)
         told.append(
@@ -233,6 +233,6 @@ def _gait_stretches(
         )
         at = stop
     end = float(motion.times[-1])
-    if end - at > _LEAST or not told:
+    if end - at > _MIN_STRETCH_S or not told:
         told.append(Stretch(at, end, prior.steps, count_between(at, end)))
     return tuple(told)

@@ -19,22 +19,21 @@ class Clip:
     """One clip's observations, and what was assumed in reading them."""
 
     observations: tuple[Sensor, ...]
-    """All in the frame of the recording."""
+    """Sensors' data, all in the frame of the recording."""
     names: tuple[str, ...]
     notes: tuple[str, ...]
     T_recording_camera: Float[np.ndarray, "4 4"] | None
-    """Pose of the one camera whose pose is not known, if there is one; metres."""
+    """Pose (m) of the one camera whose pose is not known; None if there is none."""
     ground_given: bool = False
     """Whether the caller gave the plane that lies at z = 0 of the recording."""
     starts: tuple[float, ...] = ()
-    """Times of the first frames of the observations before a part was cut out, seconds; none
-    where nothing was cut out."""
+    """Start times (s) of the observations before a part was cut out; empty without a cut."""
 
 
 def clip_between(clip: Clip, start: float, stop: float) -> Clip:
-    """The clip's data from one time to another, both included, seconds of the recording's clock.
+    """Cut out a clip's data between two times (s of the recording's clock), both included.
 
-    Before the first and after the last moment of all observations there is nothing to fit.
+    The part is limited to the first and last frame of all observations.
 
     Raises:
         ValueError: when the times do not rise or nothing was seen between them.
@@ -56,38 +55,38 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
 
 
 def start_times(clip: Clip) -> tuple[float, ...]:
-    """Start times of the observations before any cut, seconds."""
+    """Return the start times (s) of the observations before any cut."""
     return clip.starts or tuple(one.start_time for one in clip.observations)
 
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
-    """Times of the frames of an observation that have data, seconds."""
+    """Return the times (s) of the frames of an observation that have data."""
     moments = observation.shown[0].any(-1).nonzero()[:, 0].numpy()
     return observation.start_time + moments / observation.fps
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of a recording, and the prior that completed it."""
+    """A part of a completed recording, the prior that completed it, and its gait cycles."""
 
     start: float
-    """Seconds of the recording's clock."""
+    """Time (s) of its start on the recording's clock."""
     stop: float
     prior: str
-    """`humor`, or `anchor` where cycles of gait joined."""
+    """Name of the prior or priors: `humor`, `anchor`, or `humor and anchor`."""
     moments: int
-    """Moments in it that show anything."""
+    """Number of its frames with data."""
     cycles: int = 0
-    """Cycles of gait that the hips tell."""
+    """Number of gait cycles that the hips show."""
     joined: int = 0
-    """Cycles that explain their data as well as the first fit, which joined the second."""
+    """Number of cycles that explain their data as well as the first fit, and joined the second."""
     energy: float | None = None
     """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
     first: float | None = None
-    """Energy of the data under the first fit, by which it was decided."""
+    """The same under the first fit, with which it was compared."""
 
     def report(self) -> dict[str, Any]:
-        """The stretch as a dictionary of plain values, for reports."""
+        """Return the stretch as a dictionary of plain values, for reports."""
         told = {"start": self.start, "stop": self.stop, "prior": self.prior}
         told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
         if self.energy is not None:
@@ -97,23 +96,23 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ClipFit:
-    """The reconstruction of a clip and the assumptions it rests on."""
+    """The fit of one clip, with its observations, noise and ground."""
 
     result: Reconstruction
     """The fit in the world, where z = 0 is the ground."""
     noises: tuple[Noise, ...]
     ground_known: bool
     T_world_recording: Float[Tensor, "clips 4 4"]
-    """Maps the frame of the observations to the world; metres."""
+    """Transform from the frame of the observations to the world (m)."""
     observations: tuple[Sensor, ...]
-    """The observations as they were compared, with the rows of their offsets."""
+    """The observations as fitted, with indices of the unknown offsets of their points."""
     grounded: bool = True
     """Whether there is a ground at all; without one, the world is the frame of the observations
     and its z = 0 means nothing."""
     ground_seen: bool = False
     """Whether an unknown ground was laid on a plane that is given or seen."""
     stretches: tuple[Stretch, ...] = ()
-    """Parts of a recording that was completed, in the order of time; none of other fits."""
+    """Parts of a completed recording, in the order of time; empty for other fits."""
 
     @property
     def compared(self) -> tuple[ComparedHypotheses, ...]:
@@ -123,5 +122,5 @@ class ClipFit:
 
     @property
     def lens_found(self) -> bool:
-        """Whether the focal length of the camera was found with the motion."""
+        """Whether the focal length of the camera was fitted with the motion."""
         return self.result.estimate.scene.lens is not None

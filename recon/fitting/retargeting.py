@@ -26,11 +26,11 @@ from recon.physics.metrics import NO_GROUND
 from recon.solver.lbfgs import LBFGS
 
 PENETRATION, FLOATING, SLIDE, BALANCE = 1000.0, 1000.0, 3000.0, 1.0
-"""Weights of the physics energies beside ½ Σ |joint - its place in the given motion|². They and
-`SMOOTH` were chosen on eight retargeted validation clips; results depend on them little."""
+"""Weights of the physics energies relative to ½ Σ |joint - its place in the given motion|². They
+and `SMOOTH` were chosen on eight retargeted validation clips; results depend on them little."""
 
 SMOOTH = 5.0
-"""Weight of the second differences of what is changed, per (1/30 s)²."""
+"""Weight of the second differences of the correction, per (1/30 s)²."""
 
 SETTLING_ITERATIONS = 60
 
@@ -38,18 +38,18 @@ SETTLING_ITERATIONS = 60
 def settled_on_ground(
     motion: Motion, accelerations_of: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
-    """Motions corrected so that feet neither sink, float nor slide and the body is balanced.
+    """Correct motions so that feet do not sink, float or slide, and the body is balanced.
 
-    Near a motion, with the accelerations of another: least ½ Σ |p - q|² + `SMOOTH` ½ Σ |second
-    difference of p - r|² of the joints p, where q are those of `motion` and r those of
-    `accelerations_of`, plus the energies of `recon.physics.energies`. Poses, place and heading
-    are moved, the shape is not.
+    The result stays near a motion with the accelerations of another: it minimises ½ Σ |p - q|² +
+    `SMOOTH` ½ Σ |second difference of p - r|² over the joints p, where q are those of `motion` and
+    r those of `accelerations_of`, plus the energies of `recon.physics.energies`. Poses, place and
+    heading are changed, the shape is not.
 
     Args:
-        motion: on the ground z = 0, or nearly.
+        motion: motions on the ground z = 0, or nearly.
         accelerations_of: a motion as smooth as people move; may be `motion` itself.
-        flying: frames in which nothing pulls the body down.
-        body: that moves.
+        flying: frames in which nothing pulls the body to the ground.
+        body: body model of the motions.
     """
     prior = PosePrior.load(weights=PoseWeights(pose=0.0, shape=0.0, acceleration=SMOOTH))
     stage = Stage(
@@ -75,20 +75,20 @@ def settled_on_ground(
 
 
 def flying_frames(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
-    """Frames in which no vertex is within 5 cm of the ground."""
+    """Return a mask of frames in which no vertex is within 5 cm of the ground."""
     return body.pose(motion).vertices[..., 2].amin(-1) > NO_GROUND
 
 
 @dataclass(frozen=True)
 class JointTargetEnergy(TensorStruct):
-    """Energy of the distance of joints from given positions and accelerations."""
+    """Energy of the distances of joints from given positions and accelerations."""
 
     places: Float[Tensor, "*batch time 22 3"]
     moving: Float[Tensor, "*batch time 22 3"]
-    """Places of which the accelerations count."""
+    """Positions of joints (m) whose second differences are the given accelerations."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ |p - q|² + `SMOOTH` ½ Σ |second difference of p - r|²; metres², at 30 Hz."""
+        """Return ½ Σ |p - q|² + `SMOOTH` ½ Σ |second difference of p - r|²; m², at 30 Hz."""
         motion = estimate.motion
         rate = motion.fps / REFERENCE_FPS
         joints = estimate.body.joints
@@ -99,23 +99,24 @@ class JointTargetEnergy(TensorStruct):
 
 
 WINDOW, OVERLAP = 10.0, 3.0
-"""Seconds that are retargeted at once (200 frames at 20 Hz), and that neighbours share."""
+"""Duration (s) that is retargeted at once (200 frames at 20 Hz), and the overlap (s) of
+neighbours."""
 SHORTEST_MOTION = 1.0
-"""Seconds that a clip must last."""
+"""Least duration (s) of a clip."""
 
 
 def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
-    """The same motion performed by a body of another shape.
+    """Return the same motion performed by a body of another shape.
 
-    The prior proposes a motion; the nearest one to it that obeys physics is the result.
+    The prior proposes a motion, and the nearest one to it that obeys physics is the result.
 
     Args:
         motion: one clip, at any rate; the ground is z = 0.
-        shape: of the other body.
-        prior: which knows what bodies do.
+        shape: shape coefficients of the other body.
+        prior: network that transfers motions between shapes.
 
     Returns:
-        A clip of as many frames at the same rate, that begins at the same place.
+        A clip with the same number of frames, rate and start position.
 
     Raises:
         ValueError: when the clip is shorter than a second, or frames of it do not exist.
@@ -131,11 +132,10 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
 
 
 def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
-    """The same motion on a body of another shape, found by physics without a network.
+    """Return the same motion on a body of another shape, by physics without a network.
 
-    The motion nearest to the scaled copy (`recon.body.motion_files.with_shape`) that obeys
-    physics.
-    Arguments, result and errors are those of `retarget`.
+    The result is the motion nearest to the scaled copy (`recon.body.motion_files.with_shape`)
+    that obeys physics. Result and errors are those of `retarget`.
     """
     motion, shape = _checked_arguments(motion, shape, body)
     # the path is scaled about the start of the whole clip, not of this window
@@ -151,7 +151,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
 def _network_proposal(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:
-    """The prior's proposal for one window, its path scaled by leg length about `start`."""
+    """Return the prior's proposal for one window, its path scaled by leg length about `start`."""
     with torch.no_grad():
         found = prior.encode(window[None])
         grown = leg_length(prior.body, shape) / leg_length(prior.body, window.shape)
@@ -169,14 +169,14 @@ def _network_proposal(
 
 
 def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
-    """A proposal corrected at 20 Hz; between, it follows the scaled copy.
+    """Correct a proposal on the ground at 20 Hz; between these frames, interpolate corrections.
 
     A network's proposal stands on the ground in every frame, by which its height may tremble.
 
     Args:
-        made: what is proposed for a window.
-        window: of the motion that is retargeted.
-        body: of both.
+        made: proposed motion for a window.
+        window: the same window of the motion that is retargeted.
+        body: body model of both.
     """
     coarse, source = at_rate(made), at_rate(window)
     scaled = with_shape(source, body, made.shape)
@@ -192,13 +192,13 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
 
 
 def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
-    """The matrix of splines from frames at 20 Hz to those of a motion."""
+    """Return the matrix that interpolates by splines from frames at 20 Hz to a motion's frames."""
     coarse = frames_at_rate(motion.frames, motion.fps)
     return spline_matrix(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
 def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
-    """The results of `function` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
+    """Apply `function` to windows of `WINDOW` seconds that share `OVERLAP`; join the results."""
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
     return joined_windows([function(part) for part in parts])
@@ -207,7 +207,7 @@ def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
 def _checked_arguments(
     motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
-    """Motion and shape in single precision, or an error that says what is wrong."""
+    """Return motion and shape in single precision, or raise an error that says what is wrong."""
     if motion.translation.ndim != 2 or not bool(motion.valid.all()):
         raise ReconError(
             "expected one clip all of whose frames exist; take the clips of a batch one by one, "

@@ -20,21 +20,20 @@ class ReadOptions:
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
     """Axis that points up, or down, where the file is wrong about it."""
     hand: Literal["left", "right"] | None = None
-    """Handedness of the coordinates; default: told from the body, where points have names."""
+    """Handedness of the coordinates; default: found from the body, if points have names."""
     frame_rate: float | None = None
-    """Frames per second of detections, 3D keypoints, scans, estimates, where files do not tell; of
-    a film those that the camera took, where it is played slower or faster."""
+    """Frames per second of detections, 3D keypoints, scans or estimates, where files do not state
+    it; of a film that is played slower or faster, the rate of the camera."""
     layout: str | None = None
-    """Layout of the keypoints, in images or in space, where files do not tell: openpose25,
-    coco17, h36m17, ..."""
+    """Layout of the 2D or 3D keypoints, where files do not state it, openpose25, coco17, ..."""
     person: int | Literal["all"] | None = None
-    """Whom to follow where detections or an estimate show several people: number as the message
-    lists them, or `all`, each in a file of the folder OUT."""
+    """Person to follow where detections or an estimate show several: the number in the message
+    that lists them, or `all`, each in a file of the folder OUT."""
     detector: str | None = None
     """Detector of people in films: other landmarks of BlazePose (pose_landmark_heavy.tflite), or a
     class of your own, package.module:Class. Default: BlazePose with its landmarks `full`."""
     fingers: bool = False
-    """Find fingers in films, too, which takes half as much time again."""
+    """Whether to find fingers in films, too, which takes half as much time again."""
     detections: str | None = None
     """Folder in which detections in films are kept, to go on from them; default: beside OUT."""
     masks: Path | None = None
@@ -42,20 +41,20 @@ class ReadOptions:
     are taken as occluded."""
     mapping: Path | None = None
     """File (.json, .toml; label = landmark) that says where markers of a .c3d or .trc file sit,
-    for labels that are not known or mean another place; of markers without names, the table of
+    for labels that are unknown or mean another place; for markers without names, the table of
     their set, or a recording of the same person and set that has names."""
     camera: Path | None = None
     """Calibration of the cameras that detections and depth images come from; default, for
     detections of one view: a phone's, whose focal length the fit corrects."""
     camera_unit: Literal["m", "mm"] | None = None
-    """Unit of the calibration, where it does not tell."""
+    """Unit of the calibration, where the file does not state it."""
     camera_up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
     """Axis of the calibration's world that points up, or down; default: z."""
     camera_track: Path | None = None
-    """How the one camera was carried, by a tracker: a folder of COLMAP with `images.txt`, a text
-    of TUM's, an array of DROID-SLAM or DPVO (.npy, .npz), or ARKit's .json."""
+    """Poses of a carried camera, from a tracker: a folder of COLMAP with `images.txt`, a text of
+    TUM's, an array of DROID-SLAM or DPVO (.npy, .npz), or ARKit's .json."""
     image_size: tuple[int, int] | None = None
-    """Width and height of the images, pixels, where no calibration tells."""
+    """Width and height of the images, pixels, where no calibration states them."""
     ground: tuple[float, float, float, float] | Literal["none", "known", "unknown"] | None = None
     """Ground seen by a camera without pose: the plane n·x = d in its frame (x right, y down, z
     forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Or `known` at
@@ -70,11 +69,11 @@ class ReadOptions:
     """Distance in metres beyond which a point counts ever less; default: least squares.
     Keypoints in images and points of scans are always robust."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
 
     @classmethod
     def of(cls: type[Options], given: Mapping[str, Any]) -> Options:
-        """Options from arguments by name; paths may be strings.
+        """Create options from arguments by name; paths may be strings.
 
         Raises:
             TypeError: when there is no option of a name.
@@ -95,13 +94,13 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class FitSettings(ReadOptions):
-    """How to read and to fit files; what the command line shows."""
+    """Options for reading and fitting files, as the command line shows them."""
 
     prior: str = "humor"
-    """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
-    poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `recording`
-    HuMoR with cycles of gait where little was seen. Or one that another package registered, or
-    the class of one of your own, package.module:Class."""
+    """Prior of motions: `humor` knows steps from pose to pose and contacts of feet, `pose` single
+    poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `recording` HuMoR
+    with cycles of gait where little was seen. Or one that another package registered, or the class
+    of one of your own, package.module:Class."""
     weights: str = "open"
     """Weights of the prior: `open` or a file."""
     method: str | None = None
@@ -112,30 +111,29 @@ class FitSettings(ReadOptions):
     """A SMPL-family file of your own; default: the bundled body."""
     shape: str | None = None
     """Shape of the person, which is held: height=1.80,weight=75, words, coefficients, or a motion
-    file of theirs. Default: told from the data; of an estimate on another body, the average."""
+    file of theirs. Default: found from the data; of an estimate on another body, the average."""
     between: tuple[float, float] | None = None
-    """Seconds of the recording's clock from which to which to fit; default: all."""
+    """First and last time to fit, seconds of the recording's clock; default: all."""
     noise: float | None = None
-    """Standard deviation of every coordinate in space, metres; default: told from the data."""
+    """Standard deviation of every coordinate in space, metres; default: found from the data."""
     noise_pixels: float | None = None
-    """Standard deviation of keypoints in images, pixels; default: told from the data."""
+    """Standard deviation of keypoints in images, pixels; default: found from the data."""
     repair: bool = True
-    """Put right, before the fit, what is surely wrong with the data: zeros for missing points,
-    names exchanged in a stretch, outliers, a floor at another height. The report says what was
-    done."""
+    """Whether to repair, before the fit, what is surely wrong with the data: zeros for missing
+    points, names exchanged in a stretch, outliers, a floor at another height. All is reported."""
     checks: Literal["all", "none"] = "all"
     """Whether the data are checked before the fit and the result after it; `none` saves a part of
     a second, repairs nothing and warns of nothing."""
     physics: float = 0.0
-    """How much physics of a body on flat ground counts, its feet above all: 1 as much as it should
-    where there is nothing else to stand, sit or lean on; 0 leaves it out."""
+    """Weight of the physics of a body on flat ground, mostly of its feet: 1 is right where there
+    is nothing else to stand, sit or lean on; 0 leaves it out."""
     fps: float | None = None
-    """Rate of the result; default: that of the first observation."""
+    """Frame rate of the result; default: that of the first observation."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device that computes."""
+    """Device on which the fit is computed."""
 
     def arguments(self) -> dict[str, Any]:
-        """The settings as arguments of `recon.fit`."""
+        """Return the settings as arguments of `recon.fit`."""
         given = dict(vars(self))
         given["noise"] = {"metres": self.noise, "pixels": given.pop("noise_pixels")}
         given["ground"] = {None: "auto", "none": None}.get(self.ground, self.ground)

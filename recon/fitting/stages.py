@@ -1,4 +1,4 @@
-"""The stages of a prior, rewritten for the unknowns of a clip."""
+"""Rewrites the stages of a prior for the unknowns of a clip."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,13 +11,13 @@ from recon.method.free import FreeMotion
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term, joint_acceleration, relative_acceleration
 
-_PLACE = frozenset({"translation", "root"})
+_PLACEMENT = frozenset({"translation", "root"})
 _SHAPE = frozenset({"shape"})
 PHYSICS_ITERATIONS = 40
 
 
 def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
-    """A function that gives the prior's stages for data with a noise of `noise` metres.
+    """Return a function that gives the prior's stages for data with a noise of `noise` metres.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -46,9 +46,9 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
 
 def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first one that has a prior; earlier ones only place the motion.
+    """Return the stages from the first one that has a prior; earlier ones only place the motion.
 
-    Where motions are proposed for hidden limbs, they are from there.
+    Where motions are proposed for hidden limbs, stages start there.
     """
     proposing = (k for k, one in enumerate(stages) if one.proposals is not None)
     of_prior = (k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion))
@@ -56,16 +56,16 @@ def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first one that optimises more than translation and root."""
-    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+    """Return the stages from the first one that optimises more than translation and root."""
+    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACEMENT), 0)
     return tuple(stages[first:])
 
 
 def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages for one view, in which the size of bones in the image tells the distance.
+    """Return the stages for one view, where the size of bones in the image gives the distance.
 
     Placing a rest body first would trade its stretched limbs against distance. A prior that knows
-    of no ground has its minimum at another distance than the ground tells (8 cm too low a body, in
+    no ground has its minimum at another distance than the ground shows (the body 8 cm too low, in
     a test): its stages are minimised by first order, which keeps the distance at the start.
     """
     return tuple(
@@ -75,26 +75,26 @@ def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def until_shape(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages up to the first that optimises the shape; only the first if none does."""
+    """Return the stages up to the first that optimises the shape; only the first if none does."""
     moving = (k for k, stage in enumerate(stages) if "shape" in stage.free)
     return tuple(stages[: next(moving, 0) + 1])
 
 
 def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages, with the shape optimised in the first that frees it, then held.
+    """Return stages that optimise the shape only in the first that frees it, then hold it.
 
-    One view does not tell whether somebody is large and far or small and near, but for the feet
-    that stand on a ground that is known. A prior over steps does not either, yet it finds the
-    short steps of small people likelier: what it judges would shrink them by a fifth (CMU 02_01),
-    and bend their poses to fit. Whoever turns cartwheels before a camera of known pose became a
-    child that floated a metre in front of it.
+    One view does not show whether a person is large and far or small and near, except by feet that
+    stand on a known ground. A prior over steps does not either, but it finds the short steps of
+    small people likelier: it would shrink them by a fifth (CMU 02_01), and bend their poses to
+    fit. A person who turned cartwheels before a camera of known pose became a child that floated a
+    metre in front of it.
     """
     first = until_shape(stages)
     return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
 
 
 def with_relative_accelerations(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages, with accelerations relative to the body's size wherever the shape is free.
+    """Return the stages with accelerations relative to body size wherever the shape is free.
 
     In one view, a person half as large and half as far away looks the same and accelerates half
     as much in metres: smoothness would shrink walkers by a third.
@@ -111,7 +111,7 @@ def with_relative_accelerations(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any
 
 
 def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages with the shape held; stages that optimise nothing else are left out."""
+    """Return the stages with the shape held, without those that optimise nothing else."""
     held = (replace(stage, free=stage.free - _SHAPE) for stage in stages)
     return tuple(stage for stage in held if stage.free)
 
@@ -119,7 +119,7 @@ def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 def with_shape_terms(
     stages: Sequence[Stage[Any]], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """The stages, with further terms wherever the shape is optimised."""
+    """Return the stages with further terms wherever the shape is optimised."""
     return tuple(
         replace(one, terms=(*one.terms, *terms)) if "shape" in one.free else one for one in stages
     )
@@ -128,14 +128,14 @@ def with_shape_terms(
 def with_scene(
     stages: Sequence[Stage[Any]], moved: frozenset[str], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """The stages with unknowns of the scene, which move once there is a first motion.
+    """Return the stages with unknowns of the scene, which move once there is a first motion.
 
     Args:
-        stages: of a prior; the first that moves poses leaves the scene alone if others follow.
-        moved: paths such as `scene.ground.tilt`; see `recon.core.scene`.
-        terms: what holds it.
+        stages: stages of a prior; the first that moves poses holds the scene if others follow.
+        moved: names of unknowns such as `scene.ground.tilt`; see `recon.core.scene`.
+        terms: energies of these unknowns.
     """
-    posing = [k for k, stage in enumerate(stages) if not stage.free <= _PLACE]
+    posing = [k for k, stage in enumerate(stages) if not stage.free <= _PLACEMENT]
     return tuple(
         replace(stage, terms=(*stage.terms, *terms), free=stage.free | moved)
         if k in (posing[1:] or posing)
@@ -147,12 +147,11 @@ def with_scene(
 def with_physics(
     stages: Sequence[Stage[Any]], terms: tuple[Term, ...], iterations: int = PHYSICS_ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """The stages and a last one with the physics of a body on the ground z = 0.
+    """Append a last stage with the physics of a body on the ground z = 0.
 
-    It is the last one again, with all that it moves and minimises, and these terms, which take
-    the place of those of the same name. It comes last and is short because an iteration takes
-    about twice as long with a part of the skin to compute, and because feet that stand wrongly in
-    a first guess would be held there.
+    It is a copy of the last stage with these terms, which replace those of the same name. It comes
+    last and is short because an iteration takes about twice as long with a part of the skin to
+    compute, and because feet that stand wrongly in a first guess would be held there.
     """
     # these terms have no Hessian; L-BFGS with the Hessian of the other terms stops too early
     last = replace(stages[-1], name="physics", second_order=None, proposals=None)

@@ -1,9 +1,9 @@
-"""Feet that stay where they are in the image of one view stay in space.
+"""Holds feet in place where they stay in one place of the only view's image.
 
-One view does not see whether a foot moves along its ray. A camera above the ground looks down at
-feet, so that a foot on the ground moves in the image when it moves in space; what stands still in
-the image stands, unless it moves along the ray by chance. The networks of the motion prior may
-take such a foot for one that is not in contact, and let it slide towards the camera.
+One view does not show whether a foot moves along its ray. A camera above the ground looks down at
+feet, so that a foot on the ground moves in the image when it moves in space; a foot that is still
+in the image stands, unless it happens to move along the ray. The networks of the motion prior may
+take such a foot for one without contact, and let it slide towards the camera.
 """
 
 from collections.abc import Sequence
@@ -25,38 +25,38 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.banded import add_differences
 
-_SPEED = 0.15
-"""Standard deviation of the speed across the ray of a foot that stands, m/s; mostly errors of
-detectors."""
-_SPAN = 5 / 30
-"""Seconds over which this speed is measured."""
-_LEAST = 0.3
-"""Probability below which a foot is not held at all."""
+_SPEED_STD_M_S = 0.15
+"""Standard deviation (m/s) of a standing foot's speed across its ray, mostly by detector
+errors."""
+_SPAN_S = 5 / 30
+"""Time (s) over which this speed is measured."""
+_MIN_HOLD = 0.3
+"""Value of h below which a foot is not held at all."""
 
 
 @dataclass(frozen=True)
 class StillFeet(TensorStruct):
-    """Energy ½ Σ h |p_t - p_(t-1)|² of ankles and toes, h from 0 to 1; metres² at 30 Hz."""
+    """Energy ½ Σ h |p_t - p_(t-1)|² of ankles and toes, h from 0 to 1; m² at 30 Hz."""
 
     held: Float[Tensor, "*batch steps 4"]
-    """h = exp(-½ (v / 0.15 m/s)²) for the speed v of a foot across its ray, between moments."""
+    """h = exp(-½ (v / 0.15 m/s)²) for the speed v of a foot across its ray, between frames."""
     fps: float
     start_time: float
 
     @classmethod
     def of(cls, view: Keypoints2D, body: BodyModel, pixel_size: float) -> "StillFeet":
-        """The energy of the feet of the person in one view.
+        """Compute the weights h from the speeds of the person's feet in one view.
 
         Args:
-            view: whose camera stands or moves as it says.
-            body: whose feet.
+            view: 2D keypoints, with the pose of their fixed or moving camera.
+            body: body model with the feet.
             pixel_size: width of a pixel at the person, metres.
         """
         focal = view.camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
         depth = (pixel_size * focal)[..., None].expand(view.confidence.shape)
         places = view.camera.unproject(view.pixels, depth)
         eye = view.camera.T_world_camera[..., None, :3, 3]
-        half, last = round(_SPAN * view.fps / 2), view.moments - 1
+        half, last = round(_SPAN_S * view.fps / 2), view.moments - 1
         step = torch.arange(last, device=places.device)
         before, after = (step - half).clamp(min=0), (step + 1 + half).clamp(max=last)
         rays = torch.nn.functional.normalize((places - eye)[..., after, :, :], dim=-1)
@@ -68,11 +68,11 @@ class StillFeet(TensorStruct):
         tells = torch.from_numpy(view.located_joints(body)[:, FEET]).to(places)
         count = seen @ tells
         speed = (speed * seen) @ tells / count.clamp(min=1)
-        held = (-0.5 * (speed / _SPEED).square()).exp()
-        return cls(held.where((held > _LEAST) & (count > 0), 0.0), view.fps, view.start_time)
+        held = (-0.5 * (speed / _SPEED_STD_M_S).square()).exp()
+        return cls(held.where((held > _MIN_HOLD) & (count > 0), 0.0), view.fps, view.start_time)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """The energy, at 30 Hz."""
+        """Return the energy, at 30 Hz."""
         motion = estimate.motion
         step = estimate.body.joints[..., FEET, :].diff(dim=-3).square().sum(-1)
         return 0.5 * (self._weights(motion) * step).sum((-1, -2))
@@ -86,7 +86,7 @@ class StillFeet(TensorStruct):
         add_differences(joints, (-1.0, 1.0), held.flatten(1))
 
     def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
-        """Weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
+        """Return weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
         time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
         # 1e-3 frames are added, since rounding may put a time just before its frame
         row = ((time - self.start_time) * self.fps + 1e-3).floor().long()
@@ -98,9 +98,9 @@ class StillFeet(TensorStruct):
 def with_still_feet(
     stages: Sequence[Stage[Any]], view: Keypoints2D, body: BodyModel, pixel_size: float
 ) -> tuple[Stage[Any], ...]:
-    """The stages; feet that are still in the image are held as surely as certain contacts are.
+    """Return the stages with feet that are still in the image held like certain contacts.
 
-    None are where a foot may leave and come back between two moments.
+    No feet are held at low frame rates, where a foot may leave and come back between two frames.
     """
     if view.fps < FEW_MOMENTS:
         return tuple(stages)

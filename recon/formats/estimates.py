@@ -96,7 +96,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ scales the body instead of its path
+    if "smpl_scaling" in arrays:  # AIST++ states the path of a scaled body
         translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
@@ -290,7 +290,7 @@ def _held_at_every_frame(
     translation: np.ndarray,
     finite: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill gaps from the frame before; return rotations, translations and the estimated frames."""
+    """Fill frames without the person from those before; return rotations, translations, mask."""
     frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:

@@ -136,7 +136,7 @@ def motion_from(
         start_time=_number_or_default(path, numeric, "start_time", 0.0, limits.TIME),
     )
     if "pose_hand" in numeric or poses.shape[1] in _FINGERS:
-        from recon.core.fingers import hands_of_arrays  # few motions have fingers
+        from recon.core.fingers import hands_of_arrays  # imported here: rarely used
 
         motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
     gender = _text(arrays, "gender", "neutral").lower()
@@ -234,7 +234,7 @@ def _cameras(
     Raises:
         ValueError: when arrays are missing, of the wrong shape, or impossible for a camera.
     """
-    from recon.core.camera import Camera, check_camera, check_pose  # few motions have a camera
+    from recon.core.camera import Camera, check_camera, check_pose  # imported here: rarely used
     from recon.core.motion import FilmingCamera
 
     names = np.atleast_1d(arrays["camera_names"]).astype(str).tolist()
@@ -311,7 +311,7 @@ def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
-        from recon.core.camera import check_pose  # few motions have a camera
+        from recon.core.camera import check_pose  # imported here: rarely used
 
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:

@@ -34,7 +34,7 @@ _MEMBERS = 1000
 
 
 def limit_when_unpacked(path: Path, limit: Limit) -> Limit:
-    """Lower a limit of bytes for a packed file: to fifty times its size, or 64 MB if more.
+    """Return the limit of a file's unpacked bytes: fifty times its size, but 64 MB at least.
 
     Zeros are packed to a thousandth of their size, so that a small file could fill the memory.
     """

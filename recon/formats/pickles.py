@@ -141,7 +141,7 @@ def _unwrapped(value: object) -> object:
 
 
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
-    """Encode latin-1 text, as which Python 3 pickles bytes for Python 2; refuse other codecs."""
+    """Replacement for codecs.encode, by which Python 3 pickles bytes: allows latin-1 alone."""
     if encoding not in ("latin1", "latin-1"):
         raise FormatError(f"expected text in latin-1, got the encoding {encoding!r}")
     return text.encode("latin-1")
@@ -200,7 +200,7 @@ class _JoblibArray(_InertObject):
     """Joblib's record of an array, whose bytes follow the record in the file."""
 
     def read(self, file: BytesIO) -> np.ndarray:
-        """Read the array from the file, which is positioned behind the record."""
+        """Read the array's numbers from the file, which is positioned behind this record."""
         shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
         if not isinstance(dtype, np.dtype) or dtype.hasobject:
             raise _ForbiddenNameError("an array of pickled objects")

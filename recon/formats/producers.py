@@ -50,7 +50,7 @@ SAM3D_POINTS = "pred_keypoints_3d"
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters"
 MARKERS, SCANS, FILM = "markers or joint centres", "scans", "a film"
-"""What the files of most producers hold."""
+"""Kinds of data in files, the values of `Producer.holds` in most rows."""
 _NUMBER = rb"[-+\dN][\w.+-]*\s*"
 _XYZ = rb'x"?[,;\s]\s*"?y"?[,;\s]\s*"?z\b'
 _ROWS = rb"(?:[ \t]*[-+.\de]+(?:[,; \t]+[-+.\de]+){2}(?:(?:[,; \t]+[-+.\de]+){3})?[ \t]*\r?\n){20}"

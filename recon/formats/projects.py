@@ -81,7 +81,7 @@ def _pose2sim_project(folder: Path) -> Project | None:
     if not configs and calibration is None and points is None:
         return None  # a folder of detections without a project
     stated: dict[str, Any] = {}
-    # configurations of folders further in override those of folders further out
+    # configurations of inner folders override those of outer ones
     for config in reversed(configs):
         stated |= _project_table(config)
     said = [f"Pose2Sim project: {folder}"]

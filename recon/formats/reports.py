@@ -36,7 +36,7 @@ class Report:
     """All entries of the report but its own checksum."""
 
     def checksum_if_own(self, name: str, path: Path) -> str | None:
-        """Compute SHA-256 of a file; None unless the report lists it under this name."""
+        """Return a file's SHA-256 if the report lists it under the given name, else None."""
         known = {self.outputs.get(name), self.replaces.get(name)} - {None}
         if len(known) == 0 or not path.is_file():
             return None

@@ -85,7 +85,7 @@ class SmplArrays:
 
 
 def load_smpl(path: str | Path) -> SmplArrays:
-    """Read a model file of the SMPL family.
+    """Read a body model of the SMPL family from a user's file, .npz or .pkl.
 
     Raises:
         FileNotFoundError: when there is no such file; the message says where to get one.

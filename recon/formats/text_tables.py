@@ -33,12 +33,12 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     data = read_bytes(path, limit)
     _CELLS.check(sum(map(data.count, (b",", b";", b"\t", b"\n"))), path.name)
     try:
-        return [row for row in _split(decoded_text(data)) if any(row)]
+        return [row for row in _split_cells(decoded_text(data)) if any(row)]
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a comma-separated table, but {error}") from error
 
 
-def _split(text: str) -> list[list[str]]:
+def _split_cells(text: str) -> list[list[str]]:
     """Split lines into cells at the separator that is found in the first line.
 
     It is a comma if the line has one; else a semicolon, tab or bar; else spaces between seven
@@ -105,7 +105,7 @@ def first_rows(path: Path, count: int = 4) -> list[list[str]]:
     with path.open("rb") as file:
         head = b"".join(line for line, _ in zip(file, range(count + _COMMENTS), strict=False))
     try:
-        return _split(decoded_text(head).replace("\0", ""))[:count]
+        return _split_cells(decoded_text(head).replace("\0", ""))[:count]
     except csv.Error:
         return []
 

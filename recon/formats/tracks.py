@@ -67,7 +67,7 @@ def read_colmap(path: Path) -> "CameraTrack":
     numbers = [int(found[name][0]) for name in names if found[name]]
     counted = len(set(numbers)) == len(names)
     cameras = path.with_name("cameras.txt")
-    camera = _camera(cameras, images[names[0]][8]) if cameras.is_file() else None
+    camera = _colmap_camera(cameras, images[names[0]][8]) if cameras.is_file() else None
     return CameraTrack(T, np.array(numbers) if counted else None, None, camera, "COLMAP")
 
 
@@ -97,8 +97,8 @@ def read_tum(path: Path) -> "CameraTrack":
     )
 
 
-def _camera(path: Path, camera_id: str) -> CameraFields:
-    """Read the camera with this number from COLMAP's `cameras.txt`."""
+def _colmap_camera(path: Path, camera_id: str) -> CameraFields:
+    """Read the intrinsics of the camera with a given ID from COLMAP's `cameras.txt`."""
     lines = [line.split() for line in path.read_text("utf-8").splitlines()]
     fields = next((one for one in lines if one[:1] == [camera_id]), None)
     if fields is None:

@@ -55,7 +55,7 @@ class ImageRegion:
     left: float
     top: float
     width: float
-    """In pixels of the image, as all four."""
+    """Width in pixels of the image, which are the unit of all four fields."""
     height: float
 
     def place(

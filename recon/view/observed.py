@@ -118,7 +118,7 @@ def _cloud_at_frames(seen: PointsFile, camera: Camera | None, motion: Motion) ->
 
 
 def _camera_at_frames(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> Camera:
-    """Make the camera at the motion's frames; a moving one stays at its first and last poses."""
+    """Make the camera at the motion's frames; a moving one has the pose nearest in time."""
     arrays = seen.camera
     assert arrays is not None
     lens = None if arrays.distortion is None else torch.from_numpy(arrays.distortion).float()

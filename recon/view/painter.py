@@ -237,7 +237,7 @@ def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
 
 
 def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
-    """Light the body's surface by sky, floor and lamp, with a little gloss."""
+    """Make the surface of a body, lit by sky, floor and lamp, with a little gloss."""
     vertices, faces = mesh
     normals = vertex_normals(vertices, faces)
     eye = view.position - vertices

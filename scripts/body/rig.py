@@ -1,4 +1,4 @@
-"""MakeHuman's 104 bones as 22 joints: skinning weights, joint positions, skin rings."""
+"""Reduces MakeHuman's 104 bones to 22 joints: positions, skinning, weights of nearby skin."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ FINGERS = {"index": 2, "middle": 3, "pinky": 5}
 
 
 def joint_weights(model: anny.Anny) -> np.ndarray:
-    """(V, 22) weights: limbs by bone, the trunk re-cut by height between our spine joints."""
+    """Compute (V, 22) skinning weights: limbs by bone, the trunk by height of spine joints."""
     bones = {label: i for i, label in enumerate(model.bone_labels)}
     source = np.zeros((len(model.template_vertices), model.bone_count))
     rows = np.arange(len(source))[:, None]
@@ -51,7 +51,7 @@ def joint_weights(model: anny.Anny) -> np.ndarray:
 
 
 def _joint_of(bone: str) -> str:
-    """Our joint that carries a MakeHuman bone outside the torso."""
+    """Return the joint of ours that moves a MakeHuman bone outside the torso."""
     stem, _, side = bone.partition(".")
     if stem.startswith("neck"):
         return "neck"
@@ -67,7 +67,7 @@ def _joint_of(bone: str) -> str:
 
 
 def place_points(model: anny.Anny, heads: np.ndarray) -> np.ndarray:
-    """(n, 28, 3) joints and knuckles from MakeHuman's bone heads (n, 104, 3), y up.
+    """Compute joints and knuckles (n, 28, 3) from MakeHuman's bone heads (n, 104, 3), y up.
 
     Meant for average bodies only: the helpers behind the bone heads do not follow the skin of
     very tall, short or heavy ones (the knee is then up to 6 cm off).
@@ -108,9 +108,9 @@ def place_points(model: anny.Anny, heads: np.ndarray) -> np.ndarray:
 
 
 def skin_rings(vertices: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(28, V) convex weights that carry the points, placed on an average body, by its skin.
+    """Find (28, V) convex weights of an average body's skin that reproduce joints and knuckles.
 
-    vertices (V, 3), points (28, 3). Each ring is the flattest convex combination of nearby
+    vertices (V, 3), points (28, 3). Each row is the flattest convex combination of nearby
     skin that reproduces its point; left and right are mirror images.
     """
     twin = cKDTree(vertices).query(vertices * FLIP)[1]
@@ -133,10 +133,10 @@ def symmetric_weights(
     pool: Callable[[int], np.ndarray],
     amounts: Callable[[int, np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """(names, V) convex weights of skin: left and right are mirror images, the trunk is its own.
+    """Compute (names, V) convex weights of skin, mirror-symmetric between left and right points.
 
-    `pool` gives the vertices that may carry a point, of which at most so many are drawn;
-    `amounts` gives the weights of those. `twin` is the mirrored vertex of every one.
+    `pool` returns the vertices that may have weight for a point, of which at most `most` are
+    drawn; `amounts` returns their weights. `twin` is the mirrored vertex of every vertex.
     """
     found, swap = np.zeros((len(names), len(twin))), mirrored(names)
     generator = np.random.default_rng(0)
@@ -157,7 +157,7 @@ def symmetric_weights(
 def _ring_pool(
     name: str, vertices: np.ndarray, point: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """Skin that may carry a point: a slice of the trunk, or a band around a limb's joint."""
+    """Choose skin that may have weight for a point: a slice of the trunk, or a band of a limb."""
     if name in TRUNK:
         carriers = [*TRUNK, "left_hip", "right_hip", "left_collar", "right_collar"]
         trunk = weights[:, [JOINTS.index(carrier) for carrier in carriers]].sum(1) > 0.98
@@ -176,7 +176,7 @@ def _ring_pool(
 
 
 def convex_combination(columns: np.ndarray, target: np.ndarray, ridge: float) -> np.ndarray:
-    """Least squares: min |columns x - target|^2 + ridge^2 |x|^2 with x >= 0, sum x = 1."""
+    """Solve min |columns x - target|^2 + ridge^2 |x|^2 with x >= 0, sum x = 1."""
     count = columns.shape[1]
     centre = columns.mean(1)
     sum_row = 100.0 * np.sqrt(len(target)) * np.ones((1, count))
@@ -191,6 +191,6 @@ def _between(a, b, fraction):
 
 
 def _smooth_step(x: np.ndarray) -> np.ndarray:
-    """0 below -1, 1 above +1, smooth between."""
+    """Return a smooth step: 0 below -1, 1 above +1, a cubic between."""
     t = np.clip(0.5 * (x + 1.0), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

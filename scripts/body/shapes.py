@@ -1,4 +1,4 @@
-"""The linear shape space and the sparse joint regressor."""
+"""Computes the linear shape space and the sparse joint regressor."""
 
 from dataclasses import dataclass
 
@@ -14,20 +14,20 @@ PELVIS = np.array([0.0, -0.235, 0.028])
 
 @dataclass(frozen=True)
 class ShapeSpace:
-    """vertices = mean + directions @ shape, with shape ~ N(0, 1) over the adults."""
+    """Linear shape space: vertices = mean + directions @ shape, shape ~ N(0, 1) over adults."""
 
     mean: np.ndarray
     directions: np.ndarray
     coordinates: np.ndarray
-    """(n, K) of the training bodies."""
+    """(n, K) shape coefficients of the training bodies."""
     explained: np.ndarray
-    """Cumulative share of the variance."""
+    """Cumulative share of the variance that the shapes explain."""
 
 
 def symmetrise(
     vertices: np.ndarray, joints: np.ndarray, twin: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Each body averaged with its mirror image, pelvis at `PELVIS`; `vertices` is overwritten."""
+    """Average each body with its mirror image, pelvis at `PELVIS`; overwrite `vertices`."""
     shift = PELVIS - joints[:, :1]
     joints = joints + shift
     for number in range(len(vertices)):
@@ -37,7 +37,7 @@ def symmetrise(
 
 
 def principal_shapes(vertices: np.ndarray, faces: np.ndarray, count: int) -> ShapeSpace:
-    """Area-weighted principal components (the face has ten times the vertices of the back)."""
+    """Compute area-weighted principal components (vertices are denser in the face)."""
     mean = vertices.mean(0, dtype=np.float64)
     area = vertex_areas(mean, faces)
     offset = vertices - mean.astype(np.float32)
@@ -56,7 +56,7 @@ def principal_shapes(vertices: np.ndarray, faces: np.ndarray, count: int) -> Sha
 
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A third of the area of each vertex' faces, m^2."""
+    """Return a third of the area of the faces at each vertex, m^2."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     areas = np.zeros(len(vertices))
@@ -68,9 +68,9 @@ def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def joint_regressor(
     bodies: np.ndarray, joints: np.ndarray, template: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """(22, V) convex, sparse and mirror-symmetric: joints from the skin around them.
+    """Fit (22, V) convex, sparse and mirror-symmetric weights of skin that give joints.
 
-    Non-negative least squares over `bodies` (n, V, 3) with `joints` (n, 22, 3), relative to the
+    By non-negative least squares over `bodies` (n, V, 3) with `joints` (n, 22, 3), relative to the
     centre of the candidates, so that it does not depend on where a body stands.
     """
 
@@ -91,7 +91,7 @@ def joint_regressor(
 def _regressor_pool(
     name: str, template: np.ndarray, joint: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """Vertices that may carry a joint."""
+    """Choose the vertices from which a joint may be regressed."""
     distance = np.linalg.norm(template - joint, axis=1)
     if name in TRUNK:
         carriers = [*TRUNK, "left_hip", "right_hip", "left_collar", "right_collar"]

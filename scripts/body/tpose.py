@@ -12,24 +12,24 @@ import torch
 from body.layout import JOINTS, PARENTS, SIDES, number
 
 LEAN_DEGREES = {"spine1": 8.0, "spine2": 8.0, "spine3": 8.0, "neck": -4.0}
-"""How far back the zero pose leans relative to MakeHuman's."""
+"""Degrees by which the zero pose leans farther back than MakeHuman's."""
 COLLAR_RAISE_DEGREES = 28.0
 COLLAR_BACK_DEGREES = 6.0
 THIGH_OUT_DEGREES = 5.5
 FOOT_OUT_DEGREES = 11.0
 UPPER_ARM = (-6.0, -3.0)
-"""Azimuth (towards the front) and elevation, degrees."""
+"""Azimuth (towards the front) and elevation of a bone in the zero pose, degrees."""
 FOREARM = (0.0, 1.0)
 HAND = (0.0, -2.0)
 SHANK = (-0.034, -1.0, -0.105)
 FOREARM_TWIST_SHARE = 0.6
-"""Part of the hand's left-over twist that the fore-arm takes."""
+"""Share of the hand's remaining twist that the forearm takes."""
 
 
 def unpose(
     vertices: np.ndarray, points: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Zero-pose vertices (n, V, 3) and joints (n, 22, 3) of bodies in the A-pose."""
+    """Compute zero-pose vertices (n, V, 3) and joints (n, 22, 3) of bodies in the A-pose."""
     rotations = bone_rotations(points)
     joints_a = points[:, : len(JOINTS)]
     joints_t = np.zeros_like(joints_a)
@@ -47,7 +47,7 @@ def unpose(
 
 
 def bone_rotations(points: np.ndarray) -> np.ndarray:
-    """(n, 22, 3, 3) rotations from the zero pose to the pose of `points` (n, 28, 3)."""
+    """Compute (n, 22, 3, 3) rotations from the zero pose to the pose of `points` (n, 28, 3)."""
     count = len(points)
     rotations = np.tile(np.eye(3), (count, len(JOINTS), 1, 1))
 
@@ -87,7 +87,7 @@ def bone_rotations(points: np.ndarray) -> np.ndarray:
 def _share_twist(
     rotation: np.ndarray, end: np.ndarray, axis: np.ndarray, share: float
 ) -> np.ndarray:
-    """`rotation` turned about the bone by a share of its remaining twist towards `end`."""
+    """Turn `rotation` about the bone by a share of its remaining twist towards `end`."""
     axis = _unit(axis)
     own, goal = (_unit(_reject(turn[..., 2], axis)) for turn in (rotation, end))
     angle = np.arctan2((np.cross(own, goal) * axis).sum(-1), (own * goal).sum(-1))
@@ -97,7 +97,7 @@ def _share_twist(
 
 
 def _align(along_t, aside_t, along_a: np.ndarray, aside_a: np.ndarray) -> np.ndarray:
-    """Rotation that takes direction `along_t` to `along_a`, and `aside_t` as near as it can."""
+    """Return the rotation of direction `along_t` to `along_a`, and `aside_t` nearest `aside_a`."""
     source = _frame(np.asarray(along_t)[None], np.asarray(aside_t)[None])
     return _frame(along_a, aside_a) @ source.transpose(0, 2, 1)
 

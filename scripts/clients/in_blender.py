@@ -1,4 +1,4 @@
-"""What Blender makes of a BVH and of a glTF file; runs in a Python with `bpy`, without recon.
+"""Imports a BVH and a glTF file in Blender; runs in a Python with `bpy`, without recon.
 
 python in_blender.py FILE.bvh FILE.glb OUT.npz OUT.fbx FRAMES FPS
 """
@@ -25,7 +25,7 @@ def armature() -> bpy.types.Object:
 
 
 def heads(frames: range) -> dict[str, np.ndarray]:
-    """Places of all bones' heads in the world, metres."""
+    """Return the positions of all bones' heads in the world at some frames, metres."""
     rig = armature()
     found: dict[str, list] = {bone.name: [] for bone in rig.pose.bones}
     for frame in frames:
@@ -36,7 +36,7 @@ def heads(frames: range) -> dict[str, np.ndarray]:
 
 
 def skin(frames: range) -> np.ndarray:
-    """Vertices of the skinned mesh in the world at some frames, metres."""
+    """Return the vertices of the skinned mesh in the world at some frames, metres."""
     (mesh,) = [one for one in bpy.data.objects if one.type == "MESH" and one.vertex_groups]
     found = []
     for frame in frames:

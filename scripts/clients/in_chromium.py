@@ -1,4 +1,4 @@
-"""A page in headless Chromium: steps are taken in it, and pictures of it.
+"""Opens a page in headless Chromium, takes steps in it, and saves pictures of it.
 
     python in_chromium.py PAGE OUT STEPS [--size 1280 800] [--phone] [--chromium PATH]
 
@@ -25,7 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 60.0
-"""Seconds that a step may take: pictures are drawn without a graphics card."""
+"""Longest time of a step, seconds: pictures are drawn without a graphics card."""
 
 
 def main() -> None:
@@ -57,12 +57,12 @@ def main() -> None:
 
 
 def found() -> str | None:
-    """The first Chromium on the path."""
+    """Find the first Chromium on the path."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 def address(profile: Path) -> str:
-    """Address at which the browser listens, as soon as it does."""
+    """Wait for the browser to listen; return the address of its developer tools."""
     deadline = time.monotonic() + PATIENCE
     port = profile / "DevToolsActivePort"
     while time.monotonic() < deadline:
@@ -84,7 +84,7 @@ class Session:
         self.addresses: list[str] = []
 
     def visit(self, given: argparse.Namespace) -> dict[str, Any]:
-        """Open the page, take the steps, and tell what was found."""
+        """Open the page, take the steps; return values, errors and requested addresses."""
         version = self.ask("Browser.getVersion")["product"]
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)[
@@ -107,7 +107,7 @@ class Session:
         }
 
     def step(self, step: dict[str, Any], out: Path) -> Any:
-        """Value of one step, after it was taken; None of most."""
+        """Take one step; return its value, None for most kinds."""
         ((kind, what),) = step.items()
         if kind == "run":
             return self.run(what)
@@ -148,7 +148,7 @@ class Session:
         return None
 
     def run(self, script: str) -> Any:
-        """The value of a script."""
+        """Run a script in the page; return its value."""
         found = self.ask("Runtime.evaluate", expression=script, returnByValue=True,
                          awaitPromise=True)  # fmt: skip
         if "exceptionDetails" in found:
@@ -156,7 +156,7 @@ class Session:
         return found["result"].get("value")
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        """The answer to one question; what the page says meanwhile is kept."""
+        """Send a command to the browser; return its answer, and note events meanwhile."""
         self.count += 1
         message: dict[str, Any] = {"id": self.count, "method": method, "params": params}
         if self.session is not None:
@@ -171,7 +171,7 @@ class Session:
             self.note(answer)
 
     def note(self, event: dict[str, Any]) -> None:
-        """Keep errors and addresses that the page asks for."""
+        """Record an event: an error of the page, or an address that it requests."""
         params = event.get("params", {})
         if event.get("method") == "Runtime.exceptionThrown":
             self.errors.append(params["exceptionDetails"]["exception"].get("description", ""))

@@ -1,4 +1,4 @@
-"""What OpenSim makes of a .mot and a .trc file; runs in a Python with `opensim`, without recon.
+"""Reads a .mot and a .trc file in OpenSim; runs in a Python with `opensim`, without recon.
 
     python in_opensim.py FILE.mot FILE.trc SIZES.json OUT.npz
 
@@ -26,13 +26,13 @@ WRIST = (-1.5708, 0.0, -1.5708)
 
 
 def kept(function):
-    """The library takes the function over: Python must not free it."""
+    """Mark a function as owned by the library, so that Python does not free it."""
     function.thisown = False
     return function
 
 
 def custom(model, name, parent, place, child, names, axes):
-    """A joint that turns about three axes in sequence; an empty name is no coordinate."""
+    """Add a joint that turns about three axes in sequence; an axis without name is fixed."""
     transform = opensim.SpatialTransform()
     shifts = ("pelvis_tx", "pelvis_ty", "pelvis_tz") if name == "ground_pelvis" else ("", "", "")
     every = [("rotation", k, n, a) for k, (n, a) in enumerate(zip(names, axes, strict=True))]
@@ -51,7 +51,7 @@ def custom(model, name, parent, place, child, names, axes):
 
 
 def pin(model, coordinate, end, parent, place, child):
-    """A joint about the z axis of its frame."""
+    """Add a joint that turns about the z axis of its frame."""
     x, y, z = PINS[coordinate]
     sign = 1 if end == "r" or coordinate == "mtp_angle" else -1
     turn = opensim.Vec3(sign * x, y if end == "r" else -y, z)
@@ -110,7 +110,7 @@ def built(sizes):
 
 
 def places(row):
-    """Coordinates of all markers of a frame; rows of the library have no end for `for`."""
+    """Return the positions of all markers of a frame; OpenSim's rows end no `for` loop."""
     return [[row[k][axis] for axis in range(3)] for k in range(row.ncol())]
 
 
@@ -120,7 +120,7 @@ def matrix(body, state):
 
 
 def moved(model, table, frames):
-    """Orientations of all bodies in the ground, by the coordinates of a .mot file."""
+    """Compute orientations of all bodies in the ground by the coordinates of a .mot file."""
     state = model.initSystem()
     labels = [str(name) for name in table.getColumnLabels()]
     coordinates = model.getCoordinateSet()
@@ -140,7 +140,7 @@ def moved(model, table, frames):
 
 
 def followed(model, trc, markers, frames, times):
-    """Coordinates that OpenSim's inverse kinematics finds for the markers, degrees."""
+    """Fit coordinates to the markers by OpenSim's inverse kinematics, degrees."""
     for name, (body, place) in markers.items():
         model.addMarker(opensim.Marker(name, model.getBodySet().get(body), opensim.Vec3(*place)))
     model.finalizeConnections()

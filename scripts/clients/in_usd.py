@@ -1,4 +1,4 @@
-"""What OpenUSD makes of a file, and its validators' messages; runs in a Python with usd-core.
+"""Reads and validates a USD file by OpenUSD; runs in a Python with usd-core, without recon.
 
 python in_usd.py FILE.usdc OUT.npz FRAMES
 """

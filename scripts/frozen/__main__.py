@@ -33,23 +33,23 @@ from typing import Any
 import numpy as np
 
 RISE = 1e-3
-"""Share by which an objective may rise."""
+"""Largest relative rise of an objective that counts as unchanged."""
 LABELS = 0.01
-"""Share of labels (contacts, what was visible) that may be others, where joints may move."""
+"""Largest share of labels (contacts, visibility) that may change."""
 OTHERS = 10.0
-"""Tolerance of other numbers, relative where they are above one, in that of joints."""
+"""Tolerance of other numbers as a multiple of that of joints; relative for those above one."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Two results of one case."""
+    """How two results of one case differ, as texts."""
 
     joints: str
     """Largest distance along an axis, millimetres; empty where the case has no joints."""
     objective: str
-    """Relative change."""
+    """Relative change of the objective, per cent; empty where the case has none."""
     words: tuple[str, ...]
-    """What is too far apart; empty where nothing is."""
+    """What differs by more than its tolerance; empty where nothing does."""
 
 
 def differences(old: Path, new: Path, tolerance: float) -> Difference:
@@ -57,8 +57,8 @@ def differences(old: Path, new: Path, tolerance: float) -> Difference:
 
     Args:
         old: the reference.
-        new: what is compared with it.
-        tolerance: of joints, metres.
+        new: the result to compare with it.
+        tolerance: of coordinates of joints, metres.
     """
     with np.load(old) as a, np.load(new) as b:
         was, now = dict(a), dict(b)
@@ -74,7 +74,7 @@ def differences(old: Path, new: Path, tolerance: float) -> Difference:
         elif name == "objective":
             change = float(now[name] / was[name] - 1)
             objective = f"{100 * change:+.4f} %"
-            # also what is no number
+            # NaN counts as a rise, too
             words += [] if change <= RISE else ["the objective rose"]
         else:
             apart = np.abs(now[name].astype(float) - was[name].astype(float))
@@ -93,7 +93,7 @@ def differences(old: Path, new: Path, tolerance: float) -> Difference:
 
 
 def _lines(was: np.ndarray, now: np.ndarray) -> list[str]:
-    """The first words that are others."""
+    """Describe the first difference between two arrays of texts; empty if there is none."""
     other = np.atleast_1d(was != now).nonzero()[0]
     if len(other) == 0:
         return []
@@ -174,7 +174,7 @@ class Worker:
             raise RuntimeError(f"expected recon of {tree}, got {hello['recon']}")
 
     def ask(self, what: dict[str, Any]) -> dict[str, Any]:
-        """Its answer, which has `error` where the case failed."""
+        """Send a task to the process; return its answer, which has `error` if the task failed."""
         assert self._process.stdin is not None
         print(json.dumps(what), file=self._process.stdin, flush=True)
         return self._answer()
@@ -196,7 +196,7 @@ class Worker:
 
 
 Seconds = dict[str, list[float] | str]
-"""CPU seconds of every repeat by case, or the error."""
+"""CPU seconds of every repeat, or the error, keyed by case."""
 
 
 def run_cases(
@@ -239,7 +239,7 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def _failures(seconds: Seconds) -> int:
-    """Print what failed; 1 where something did."""
+    """Print the cases that failed; return 1 if there are any."""
     failed = {name: said for name, said in seconds.items() if isinstance(said, str)}
     for name, said in failed.items():
         print(f"{name}: {said}", file=sys.stderr)
@@ -248,7 +248,7 @@ def _failures(seconds: Seconds) -> int:
 
 
 def report(old: Path, new: Path, before: Seconds, after: Seconds, tolerance: float) -> int:
-    """A table of all cases; 1 where one differs."""
+    """Print a table of all cases; return 1 if one differs."""
     print(f"{'case':24}{'joints mm':>10}{'objective':>10}{'CPU s':>8}{'now':>8}{'ratio':>7}")
     differ: list[str] = []
     ratios: list[float] = []

@@ -16,7 +16,7 @@ from scripts.frozen.exports import Arrays, exported, recon_command
 from scripts.frozen.inputs import CLIP, DEMO, OBSERVATIONS
 
 Case = Callable[[Path], Arrays]
-"""A function of the folder of input files."""
+"""Function that runs a case on a folder of input files and returns arrays."""
 
 
 def _fit(*names: str, **options: Any) -> Case:
@@ -27,7 +27,7 @@ def _fit(*names: str, **options: Any) -> Case:
 
 
 def _result(found: Any) -> Arrays:
-    """Joints, the last objective, the shape and where feet stand."""
+    """Return joints, last objective, shape and ground contacts of a fit."""
     energies = found.report()["stages"][-1]["energies"]
     return {
         "joints": found.joints.numpy(),
@@ -38,12 +38,12 @@ def _result(found: Any) -> Arrays:
 
 
 def two_cameras(inputs: Path) -> Arrays:
-    """Two views of one clip, a file each."""
+    """Fit two views of one clip, a file each."""
     return _result(recon.fit(sorted((inputs / "two").glob("*.npz"))))
 
 
 def two_people(inputs: Path) -> Arrays:
-    """Detections of two people by one camera without calibration, one of whom is followed."""
+    """Fit one of two people in 2D keypoints of a camera without calibration."""
     seen = recon.load_observation(
         inputs / "openpose", frame_rate=30.0, image_size=(1920, 1080), person=1
     )
@@ -51,12 +51,12 @@ def two_people(inputs: Path) -> Arrays:
 
 
 def markers_of_a_laboratory(inputs: Path) -> Arrays:
-    """Plug-in Gait's markers in a C3D file, read by the marker solver, then fitted."""
+    """Fit Plug-in Gait's markers of a C3D file, read by the marker solver."""
     return _result(recon.fit(recon.load_observation(inputs / "pig.c3d")))
 
 
 def command_line(inputs: Path) -> Arrays:
-    """Motion file and report of `recon fit`, with the fit of `joints pose`."""
+    """Run `recon fit` as in `joints pose`; return arrays of its motion file and report."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "motion.npz"
         recon_command("fit", inputs / "joints.npz", "--prior", "pose", "--out", out)
@@ -71,7 +71,7 @@ def _stream(prior: str) -> Case:
 
 
 def streamed(path: Path, prior: str) -> np.ndarray:
-    """Final joints of a file's moments that are pushed one after the other."""
+    """Push a file's frames one after the other to a stream; return the final joints."""
     seen: Any = recon.load_observation(path)
     stream = recon.Stream(prior, lag=8, template=seen)
     told = []
@@ -85,27 +85,27 @@ def streamed(path: Path, prior: str) -> np.ndarray:
 
 
 def refine(inputs: Path) -> Arrays:
-    """A motion with jitter, as networks give it."""
+    """Refine a motion with jitter, as networks estimate it."""
     return _result(recon.refine(inputs / "estimate.npz", up="z"))
 
 
 def sample_humor(_: Path) -> Arrays:
-    """Two motions out of nothing."""
+    """Sample two motions from HuMoR."""
     return _made(*recon.sample(count=2, seconds=1.5, seed=3))
 
 
 def sample_humos(_: Path) -> Arrays:
-    """A motion of a body that is asked for."""
+    """Sample a motion for a body of 1.80 m from HUMOS."""
     return _made(*recon.sample("humos", seconds=1.5, seed=3, shape="height=1.80"))
 
 
 def predict(inputs: Path) -> Arrays:
-    """Two continuations of the clip."""
+    """Predict two continuations of the clip."""
     return _made(*recon.predict(inputs / "clip.npz", seconds=1.0, samples=2, seed=3))
 
 
 def interpolate(inputs: Path) -> Arrays:
-    """A cycle between the walk and the same walk in slow motion."""
+    """Interpolate a cycle between the walk and the same walk in slow motion."""
     return _made(recon.interpolate(DEMO, inputs / "slow.npz", 0.3))
 
 
@@ -117,7 +117,7 @@ def _retarget(method: str) -> Case:
 
 
 def to_body(inputs: Path) -> Arrays:
-    """The clip on the mesh of a file of the SMPL family."""
+    """Transfer the clip to the mesh of a file of the SMPL family."""
     return _made(recon.to_body(inputs / "clip.npz", inputs / "SMPLX_NEUTRAL.npz"))
 
 
@@ -131,19 +131,19 @@ def _made(*results: Any) -> Arrays:
 
 
 def evaluate(inputs: Path) -> Arrays:
-    """Every metric of the jittered walk, and of the joints that were seen of it."""
+    """Compute every metric of the jittered walk, also for the joints that were seen."""
     found = recon.evaluate(inputs / "jitter.npz", DEMO, observation=inputs / "hidden.npz")
     told = sorted(key for key, value in found.items() if value is not None)
     return {"words": np.array(told), "numbers": np.array([found[key] for key in told])}
 
 
 def angles(inputs: Path) -> Arrays:
-    """Joint angles after the ISB, degrees."""
+    """Compute joint angles after the ISB, degrees."""
     return dict(recon.joint_angles(inputs / "clip.npz").degrees)
 
 
 def simulate(_: Path) -> Arrays:
-    """What every sensor sees; the other cases read what the reference simulated."""
+    """Simulate every sensor; the other cases read what the reference simulated."""
     found: Arrays = {}
     for name, (kind, options) in OBSERVATIONS.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -209,4 +209,4 @@ CASES: dict[str, Case] = {
     "export html": exported("--html"),
     **({} if find_spec("pxr") is None else {"export usd": exported("--usd")}),
 }
-"""All cases by name."""
+"""All cases, keyed by name."""

@@ -1,4 +1,4 @@
-"""What `recon export` writes, as numbers and the words between them."""
+"""Runs `recon export`, and reads its files as numbers and the words between them."""
 
 import json
 import re
@@ -19,13 +19,13 @@ _ENDINGS = {
     "--joints": "csv",
 }
 Arrays = dict[str, np.ndarray]
-"""`joints` in metres, `objective` of the last stage, `words`, and other numbers by name."""
+"""Arrays: `joints` in m, `objective` of the last stage, `words`, other numbers by name."""
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?(?![\w.])")
 
 
 def exported(*options: str) -> Callable[[Path], Arrays]:
-    """What `recon export` writes: numbers of text and of buffers, and the words between them."""
+    """Make a case that runs `recon export` and reads numbers and words of its file."""
 
     def case(inputs: Path) -> Arrays:
         with tempfile.TemporaryDirectory() as folder:
@@ -54,7 +54,7 @@ def _read(path: Path) -> Arrays:
 
 
 def _buffers(data: bytes, first: int) -> Arrays:
-    """Numbers of a binary glTF: its accessors of floats, one after the other."""
+    """Read the numbers of a binary glTF: its accessors of floats, one after the other."""
     about, binary = json.loads(data[20:first]), data[first + 8 :]
     found = []
     for one in about["accessors"]:
@@ -67,7 +67,7 @@ def _buffers(data: bytes, first: int) -> Arrays:
 
 
 def _text(text: str) -> Arrays:
-    """The numbers of a text, and its words, without names of programs and their versions."""
+    """Split a text into numbers and words, without names of programs and their versions."""
     text = re.sub(r"(recon|torch|numpy|motion-recon)[ \"':v]*\d+(\.\d+)+\S*", "", text)
     numbers = np.array([float(number) for number in _NUMBER.findall(text)])
     return {"words": np.array(_NUMBER.sub("#", text).splitlines()), "numbers": numbers}

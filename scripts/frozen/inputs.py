@@ -1,4 +1,4 @@
-"""What the frozen cases read: simulated observations of the bundled walk, and files of others."""
+"""Writes what the frozen cases read: simulated observations of a walk, and foreign files."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ CLIP, CYCLE, SPARSE = (20, 56), (20, 51), (0, 60)
 
 
 def make_inputs(folder: Path) -> None:
-    """Write what the cases read: simulated observations of the walk, and files of other makers."""
+    """Write what the cases read: simulated observations of the walk, and foreign files."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, (kind, options) in OBSERVATIONS.items():
         options = {"seed": 1, "frames": CLIP} | options
@@ -57,11 +57,11 @@ OBSERVATIONS: dict[str, tuple[Any, dict[str, Any]]] = {
     "cycle": ("landmarks", {"noise": 0.01, "frames": CYCLE}),
     "sparse": ("scans", {"noise": 0.005, "points": 60, "frames": SPARSE, "missing_frames": 0.8}),
 }
-"""Sensor and options by the name of the file."""
+"""Sensor and options of each simulated observation, keyed by the name of its file."""
 
 
 def write_c3d(path: Path, trc: Path) -> None:
-    """The markers of a TRC file (millimetres, y up) as C3D with z up."""
+    """Write the markers of a TRC file (millimetres, y up) as C3D with z up."""
     import ezc3d
 
     lines = trc.read_text().splitlines()
@@ -81,7 +81,7 @@ def write_c3d(path: Path, trc: Path) -> None:
 
 
 def write_openpose(folder: Path) -> None:
-    """Detections of two people before one camera, a file per frame."""
+    """Write OpenPose's 2D keypoints of two people before one camera, a file per frame."""
     folder.mkdir(exist_ok=True)
     people = []
     for first, aside in ((20, 0.0), (70, 420.0)):
@@ -98,7 +98,7 @@ def write_openpose(folder: Path) -> None:
 
 
 def _write_smpl(path: Path) -> None:
-    """The bundled body, 4 % thinner, in the arrays of a SMPL-X file with its 55 joints."""
+    """Write the bundled body, 4 % thinner, in the arrays of a SMPL-X file with 55 joints."""
     body = recon.BodyModel.load()
     thinner = np.array([0.96, 0.96, 1.0])
     template = body.template.numpy() * thinner

@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    """CPU seconds of this process and of those that it started."""
+    """Carry out a request; return CPU seconds of this process and those that it started."""
     torch.manual_seed(0)
     before = sum(os.times()[:4])
     if "verb" in asked:
@@ -51,7 +51,7 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def called(verb: str, files: list[str], how: dict[str, Any], out: str) -> float:
-    """CPU seconds in which a function of recon reads files, computes and saves."""
+    """Call a function of recon on files and save its result; return CPU seconds."""
     before = sum(os.times()[:4])
     if verb == "stream":
         np.savez(out, joints=streamed(Path(files[0]), **how))
