@@ -185,6 +185,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
     "without OUT": (("fit", "a.npz"), "--out"),
     "below a file": (("sample", "--seconds", "0.1", "--out", "file/m.npz"), "which is a file"),
     "motion as folder": (("fit", "seen.npz", "--out", "."), "is a folder"),
+    "motion as BVH": (("fit", "seen.npz", "--out", "m.bvh"), "make other files of it by `recon"),
     "unknown kind": (("simulate", "a.npz", "b.npz", "--kind", "sonar"), "joints3d"),
 }
 
