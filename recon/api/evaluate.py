@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.checks import refuse_other_units
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import Tables, closing_fields, one_line
 from recon.body.model import BodyModel
@@ -168,9 +169,12 @@ def evaluate(
     if (poses := _camera_poses(ours, seen)) is not None:
         found, true = poses
         pelvis = model.rest_joints(ours.motion.shape)[0]
-        carried = ours.motion.carried(true @ torch.linalg.inv(found), pelvis)
         there = evaluation.evaluate(
-            carried, theirs.motion, model, truth_contacts=labels, truth_visible=visible
+            ours.motion.carried(true @ torch.linalg.inv(found), pelvis),
+            theirs.motion,
+            model,
+            truth_contacts=labels,
+            truth_visible=visible,
         )
         there |= ground_errors(found, true)
         metrics |= {key: there[key] for key in there if not key.startswith(_ON_ITS_GROUND)}
@@ -200,6 +204,7 @@ def _joint_errors(
         raise ReconError(
             "truth: holds NaN or infinity; cut these frames out of it and the estimate"
         )
+    refuse_other_units("truth", "joints", truth, torch.ones(truth.shape[:-1], dtype=torch.bool))
     joints = body.pose(motion).joints
     return {
         **evaluation.joint_errors(joints, truth, visible),

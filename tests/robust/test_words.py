@@ -151,6 +151,8 @@ ROWS: dict[str, Row] = {
     "continuation of a later time": (lambda _: recon.predict(clip(), at=9.0), R, "at: expected"),
     "share above 1": (lambda _: recon.interpolate(clip(), clip(), 1.5), R, "to 1 .*got 1.5"),
     "truth of other frames": (lambda _: recon.evaluate(clip(), np.zeros((3, 22, 3))), R, "truth"),
+    "truth in millimetres": (
+        lambda _: recon.evaluate(clip(), 1000 * np.tile(JOINTS, (5, 1, 1))), U, "truth.joints: "),
     "recording of nothing": (lambda d: recon.convert(d / "none.bvh"), FileNotFoundError,
                              r"none\.bvh: no such file"),
     "stream of no lag": (lambda _: recon.Stream(lag=-1), R, "lag: expected 0 to 120 frames"),
