@@ -118,7 +118,7 @@ def numbers_of_columns(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """Parse the numbers in some columns of a table; NaN where a cell is blank or missing.
+    """Parse the numbers in some columns of a table; NaN where one is blank, missing, NA or null.
 
     Args:
         rows: cells of the rows below the header.
@@ -138,12 +138,13 @@ def numbers_of_columns(
                 "commas for points, put semicolons between cells"
             )
         for k, column in enumerate(columns):
-            if column < len(row) and row[column]:
+            cell = row[column] if column < len(row) else ""
+            if cell.lower() not in ("", "na", "n/a", "null", "none", "-"):
                 try:
-                    values[line, k] = float(row[column])
+                    values[line, k] = float(cell)
                 except ValueError as error:
                     raise FormatError(
-                        f"{name}: expected a number in row {line}, got {row[column][:40]!r}; "
+                        f"{name}: expected a number in row {line}, got {cell[:40]!r}; "
                         "leave cells empty where nothing was seen"
                     ) from error
     return values

@@ -103,7 +103,9 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     positions = np.full((index[-1] + 1, *values.shape[1:]), np.nan)
     positions[index] = values
     said = f"{len(positions) - len(values)} frames that are missing between others are unseen"
-    return Points3D(name, positions, tuple(columns), decisions=(said,))
+    return Points3D(name, positions, tuple(columns), decisions=(said,)).with_rate_of_times(
+        None if times is None else np.interp(np.arange(len(positions)), index, times)
+    )
 
 
 def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
@@ -132,11 +134,10 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
                 "model in the table: write the rows of one of them to a file of its own"
             )
         spot[:] = values[k]
-    points = Points3D(name, positions, tuple(place))
     times = _numbers_of_column(rows, header, _TIME, name)
     known, first = np.unique(index, return_index=True)
-    return (
-        points if times is None or len(known) < count else points.with_rate_of_times(times[first])
+    return Points3D(name, positions, tuple(place)).with_rate_of_times(
+        None if times is None else np.interp(np.arange(count), known, times[first])
     )
 
 

@@ -102,6 +102,20 @@ def test_times_may_count_parts_of_seconds(tmp_path, head, ticks):
     agrees(read(tmp_path / "a.csv")[0], x)
 
 
+@pytest.mark.parametrize("missing", ["NA", "null", "-", "NaN", ""])
+def test_frames_and_cells_may_be_missing_where_times_are_known(tmp_path, missing):
+    """A table with a gap in its frames was said to state no rate; NA, as R writes, was refused."""
+    names, x = keypoint_names("coco17"), points("coco17")
+    header = ["frame", "time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    table = [[t, t / 30, *one] for t, one in enumerate(x.reshape(FRAMES, -1).tolist())]
+    table[1][2:5] = [missing] * 3
+    with (tmp_path / "a.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *table[:3], *table[5:]])
+    seen, _ = read(tmp_path / "a.csv")
+    assert (seen.fps, seen.moments) == (30.0, FRAMES)
+    assert int((~seen.visible).sum()) == 2 * len(names) + 1
+
+
 def test_times_that_tell_no_rate_are_named(tmp_path):
     """Numbers of frames were seconds; of a pause it was said that there are no times."""
     names, x = keypoint_names("coco17"), points("coco17")
