@@ -1,12 +1,13 @@
 """Verbs of the command line with files and values of Python: the same path, without words."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from recon.api.simulate import simulate
 from recon.cli import listing
+from recon.cli.places import Place
 from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.simulation.points import Corruption
 from recon.simulation.settings import (
@@ -29,6 +30,11 @@ def report_of(name: str, out: Path, **given: Any) -> dict[str, Any]:
     listing.function_of_verb(name)(out=out, quiet=True, **given)
     report = out.with_name(f"{out.name}.json") if out.is_file() else out / "report.json"
     return json.loads(report.read_text(encoding="utf-8"))
+
+
+def declared_outputs(verb: Callable[..., Any]) -> tuple[Place, ...]:
+    """Return the outputs that `writes` declared for a verb; () for one that only reads."""
+    return vars(verb).get("writes", ())
 
 
 def fit_files(

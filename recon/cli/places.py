@@ -119,8 +119,3 @@ def writes(
         return checked
 
     return declare
-
-
-def declared_outputs(verb: Callable[..., Any]) -> tuple[Place, ...]:
-    """Return the outputs that `writes` declared for a verb; () for one that only reads."""
-    return vars(verb).get("writes", ())

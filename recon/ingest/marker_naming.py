@@ -39,7 +39,9 @@ _FEWEST = 4
 """Markers that place a body in a frame."""
 _WEIGHT = 8.0
 """Frames after which a track is no better for being longer."""
-_STEP = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
+_FIT = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
+_FOLLOW = LevenbergMarquardt(max_iterations=3, tolerance=3e-2, damping=1e-3)
+"""How a pose is fitted to named markers, and from its neighbour's pose while names are found."""
 
 
 class Naming:
@@ -173,10 +175,8 @@ class Naming:
                 kept[k] = pose[[row]]
                 self._sum[tracks[row]] += said[row]
                 self._count[tracks[row]] += 1
-        self._store_poses(concatenate(kept))
-
-    def _store_poses(self, poses: Poses) -> None:
-        self._translation, self._rotations = poses.translation, poses.rotations
+        every = concatenate(kept)
+        self._translation, self._rotations = every.translation, every.rotations
 
     def _calibrated_body(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
         """The body with a shape and offsets that fit the named markers of some key frames."""
@@ -255,8 +255,8 @@ class Naming:
 
         x, seen = self.named(self.keys)
         poses = body.posed(self._translation, self._rotations)
-        poses = minimise_frames(body.energies(x, seen), poses, _STEP).state
-        self._store_poses(poses)
+        poses = minimise_frames(body.energies(x, seen), poses, _FIT).state
+        self._translation, self._rotations = poses.translation, poses.rotations
         places = told.places(poses)
         frames, numbers = self._sampled_tracks()
         path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
@@ -294,7 +294,7 @@ def _fit_poses(
             x[row, marker[held]], seen[row, marker[held]] = own[held], True
     energies = replace(body.energies(x, seen), natural=poses.rotations[:, 1:])
     return minimise_frames(
-        energies, poses, _STEP, torch.from_numpy(np.flatnonzero(seen.any(1)))
+        energies, poses, _FOLLOW, torch.from_numpy(np.flatnonzero(seen.any(1)))
     ).state
 
 

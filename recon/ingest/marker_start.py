@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from recon.core import rotations as so3
+from recon.core.struct import concatenate
 from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses, pose_density
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
@@ -35,8 +36,9 @@ _LIMBS = [
 """Joints of limbs and head, and the axis along the limb in the rest pose."""
 _QUARTERS = (0.5 * np.pi, np.pi, 1.5 * np.pi)
 """Turns of a limb about its length that may exchange its markers."""
-_CLOSE, _BETTER = 4, 0.9
-"""First iteration for poses that are nearly right, and share of a rank that is clearly less."""
+_CLOSE, _BETTER, _FINISHED = 4, 0.9, 4
+"""First iteration for poses that are nearly right, share of a rank that is clearly less, and turns
+that are fitted beyond this iteration."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
 
@@ -125,13 +127,26 @@ def turned_limb(
     for own, (j, axis, angle) in zip(rotations, turns, strict=True):
         own[:, j] = own[:, j] @ so3.exp(angle * torch.eye(3)[axis])
     state = body.posed(poses.translation.repeat(len(turns), 1), rotations.flatten(0, 1))
-    cloud = np.tile(np.arange(len(clouds)), len(turns))
-    found = [one for _, one in _fits_of_poses(body, state, clouds, cloud, _CLOSE)]
-    ranks = np.reshape([one.rank for one in found], (len(turns), -1)).mean(1)
+    found, ranks = _fits_to_all(body, state, clouds, range(_CLOSE, _CLOSE + 1))
+    likely = [0, *(1 + np.argsort(ranks[1:])[:_FINISHED]).tolist()]  # 0 is the body as it is
+    state = concatenate([one.pose for k in likely for one in found[k]])
+    found, ranks = _fits_to_all(body, state, clouds, range(_CLOSE + 1, len(_REACH)))
     best = int(ranks.argmin())
-    if ranks[best] > _BETTER * ranks[0]:
-        return None
-    return found[best * len(clouds) : (best + 1) * len(clouds)]
+    return found[best] if ranks[best] <= _BETTER * ranks[0] else None
+
+
+def _fits_to_all(
+    body: MarkedBody, state: Poses, clouds: Sequence[Float[np.ndarray, "points 3"]], trials: range
+) -> tuple[list[list[FoundBody]], Float[np.ndarray, " poses"]]:
+    """Fits of a few poses to every cloud, and the mean rank of each pose.
+
+    The state holds the first pose for each cloud, then the second pose for each, and so on.
+    """
+    count = len(clouds)
+    cloud = np.arange(len(state.translation)) % count
+    found = [one for _, one in _fits_of_poses(body, state, clouds, cloud, trials)]
+    grouped = [found[k : k + count] for k in range(0, len(found), count)]
+    return grouped, np.array([np.mean([one.rank for one in own]) for own in grouped])
 
 
 def _likely_places(
@@ -163,14 +178,14 @@ def _fits_of_poses(
     state: Poses,
     clouds: Sequence[Float[np.ndarray, "points 3"]],
     cloud: Int[np.ndarray, " poses"],
-    first: int = 0,
+    trials: range = range(len(_REACH)),
 ) -> list[tuple[int, FoundBody]]:
     """The best poses of one body, fitted to the points of their clouds, with the clouds' numbers.
 
     All are fitted at once, which takes hardly longer than a fit of one; worse ones are dropped.
     """
-    for trial, reach in enumerate(_REACH[first:], first):
-        found = _assigned_clouds(body.places(state), clouds, cloud, reach)
+    for trial in trials:
+        found = _assigned_clouds(body.places(state), clouds, cloud, _REACH[trial])
         if trial in _DROPS:
             kept = _better_half(np.array([cost for _, cost in found]), cloud)
             state, cloud = state[torch.from_numpy(kept)], cloud[kept]

@@ -15,7 +15,7 @@ from recon import cli
 from recon.cli import console, inputs, listing
 from recon.cli.examples import EXAMPLES
 from recon.cli.parsing import BAD_USAGE, options_of, parsed_command
-from recon.cli.places import declared_outputs
+from tests.verbs import declared_outputs
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 VERBS = {name: listing.function_of_verb(name) for name in listing.verb_names()}

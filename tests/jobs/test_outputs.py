@@ -9,8 +9,8 @@ import pytest
 
 from recon import cli
 from recon.cli import listing as verbs
-from recon.cli.places import declared_outputs
 from recon.formats.outputs import OutputKind
+from tests.verbs import declared_outputs
 from training.__main__ import train
 
 
