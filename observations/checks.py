@@ -59,7 +59,7 @@ def checked_positions(
     visible = visible & ~hidden
     positions = seen_and_finite(kind, name, positions, mask_name, visible)
     POSITION.check(positions.detach().cpu(), kind, name)
-    _refuse_other_units(kind, name, positions.detach(), visible)
+    refuse_other_units(kind, name, positions.detach(), visible)
     return positions, visible
 
 
@@ -190,7 +190,7 @@ def seen_and_finite(
     return values if bool(visible.all()) else values.where(visible[..., None], 0.0)
 
 
-def _refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor) -> None:
+def refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor) -> None:
     """Refuse positions that lie farther apart than a person's size in metres allows."""
     moments = slice(None, None, max(1, positions.shape[-3] // _MOMENTS))
     points = slice(None, None, max(1, positions.shape[-2] // _POINTS))

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.checks import refuse_other_units
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import Tables, closing_fields, one_line
 from recon.body.model import BodyModel
@@ -16,6 +17,7 @@ from recon.core.arrays import Numbers, bool_tensor, float_tensor, require_shape
 from recon.core.errors import ReconError
 from recon.core.motion import Motion, MotionFile
 from recon.formats.observations import ObservationFile, PositionsFile, load_observation
+from recon.formats.opening import load_array
 from recon.formats.writing import write_report
 from recon.method.protocols import Estimate
 from recon.metrics import evaluation
@@ -77,11 +79,14 @@ class Evaluation(dict[str, float | None]):
 
     def __repr__(self) -> str:
         """The most important metrics in at most ten lines."""
-        values = ((self.get(key), *words) for key, words in _SHOWN.items())
-        lines = [f"{w}: {factor * v:.2f} {unit}" for v, w, factor, unit in values if v is not None]
-        computed = sum(value is not None for value in self.values())
+        lines = [
+            f"{words}: {factor * value:.2f} {unit}"
+            for key, (words, factor, unit) in _SHOWN.items()
+            if (value := self.get(key)) is not None
+        ]
         first = (
-            f"Evaluation: {computed} of {len(self)} metrics could be told, among them errors of"
+            f"Evaluation: {len(self) - [*self.values()].count(None)} of {len(self)} metrics could "
+            "be told, among them errors of"
         )
         return "\n".join([first, *map(one_line, lines)])
 
@@ -114,7 +119,8 @@ def evaluate(
     Args:
         estimate: the reconstruction, one clip: a motion, a result, a motion file or its arrays.
         truth: the true motion, one clip that lasts at least as long. Or the true joints alone, an
-            array (time, 22, 3) in metres at the estimate's frames; errors of joints are then all.
+            array (time, 22, 3) in metres at the estimate's frames, or an .npy file of it; errors
+            of joints are then all.
         body: of both, each motion has its own shape: a SMPL-family file; default: the bundled
             body.
         observation: the observation file that was fitted, or its path: for errors of its own
@@ -136,6 +142,8 @@ def evaluate(
     frames = ours.motion.frames
     own = ours.contacts if contacts is None else _labels_as_tensor(contacts, "contacts", frames)
     visible = _visible_given(truth_visible, frames)
+    if isinstance(truth, str | Path) and Path(truth).suffix.lower() == ".npy":
+        truth = load_array(Path(truth))
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
     theirs = _in_double_precision(motion_given(truth, model, "truth").file)
@@ -157,28 +165,32 @@ def evaluate(
         observed=_observed_points(ours, theirs, seen, path, model)
         if observed is None
         else observed,
-    )
-    metrics |= {"ground_normal": None, "ground_height": None}
+    ) | {"ground_normal": None, "ground_height": None}
     if (poses := _camera_poses(ours, seen)) is not None:
         found, true = poses
         pelvis = model.rest_joints(ours.motion.shape)[0]
-        carried = ours.motion.carried(true @ torch.linalg.inv(found), pelvis)
         there = evaluation.evaluate(
-            carried, theirs.motion, model, truth_contacts=labels, truth_visible=visible
+            ours.motion.carried(true @ torch.linalg.inv(found), pelvis),
+            theirs.motion,
+            model,
+            truth_contacts=labels,
+            truth_visible=visible,
         )
-        kept = {key: value for key, value in metrics.items() if key.startswith(_ON_ITS_GROUND)}
-        metrics |= there | kept | ground_errors(found, true)
+        there |= ground_errors(found, true)
+        metrics |= {key: there[key] for key in there if not key.startswith(_ON_ITS_GROUND)}
     return Evaluation(metrics)
 
 
 def _in_double_precision(file: MotionFile) -> MotionFile:
     """Return a motion file's contents with all floating-point tensors in double precision."""
-    tensors = {
-        key: value.double().cpu()
-        for key, value in vars(file).items()
-        if isinstance(value, Tensor) and value.is_floating_point()
-    }
-    return replace(file, **tensors)
+    return replace(
+        file,
+        **{
+            key: value.double().cpu()
+            for key, value in vars(file).items()
+            if isinstance(value, Tensor) and value.is_floating_point()
+        },
+    )
 
 
 def _joint_errors(
@@ -192,6 +204,7 @@ def _joint_errors(
         raise ReconError(
             "truth: holds NaN or infinity; cut these frames out of it and the estimate"
         )
+    refuse_other_units("truth", "joints", truth, torch.ones(truth.shape[:-1], dtype=torch.bool))
     joints = body.pose(motion).joints
     return {
         **evaluation.joint_errors(joints, truth, visible),

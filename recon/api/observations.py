@@ -44,7 +44,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
         ObservationError: when there is none, something is no observation, or there are several
             clips.
     """
-    if not isinstance(given, Sensor | Clip | Iterable):
+    if hasattr(given, "keys") or not isinstance(given, Sensor | Clip | Iterable):
         raise _no_observation_error(given)
     if isinstance(given, Clip):
         seen, names = given.observations, given.names

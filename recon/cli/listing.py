@@ -27,13 +27,17 @@ def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
 CORE = {
     "demo": Verb("recon.api.demo:demo", (Place("out", folder_output),)),
-    "detect": Verb("recon.api.detect:detect", out="file of 2D keypoints to write (.npz)."),
+    "detect": Verb(
+        "recon.api.detect:detect", (Place("out"),), "file of 2D keypoints to write (.npz)."
+    ),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.refine:refine", settings=FitSettings(ground="unknown")),
     "convert": Verb("recon.api.convert:convert", out_follows=True),
     "label": Verb(
-        "recon.api.label:label", out="file of named markers to write (.c3d, .trc or .csv)."
+        "recon.api.label:label",
+        (Place("out"),),
+        "file of named markers to write (.c3d, .trc or .csv).",
     ),
     "sample": Verb("recon.api.generate:sample", (Place("out", folder_or_npz_output),), _SEVERAL),
     "predict": Verb("recon.api.generate:predict", (Place("out", folder_or_npz_output),), _SEVERAL),
@@ -53,7 +57,8 @@ CORE = {
     ),
     "calibrate": Verb(
         "recon.api.calibrate:calibrate",
-        out="calibration to write (.toml), which `--camera` reads; OUT.json tells what was found.",
+        (Place("out"),),
+        "calibration to write (.toml), which `--camera` reads; OUT.json tells what was found.",
     ),
     "evaluate": Verb(
         "recon.api.evaluate:evaluate",

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 import recon
 from recon.cli import running
-from recon.cli.places import Overwrite, Place, Quiet, writes
+from recon.cli.places import Overwrite, Place, Quiet, motion_output, writes
 from recon.fitting.settings import FitSettings
 from recon.simulation.settings import FurnitureName, LeftOver, SensorKind
 
@@ -52,7 +52,7 @@ class Verb:
 
     function_name: str
     """The function as "module:name"."""
-    places: tuple[Place, ...] = (Place("out"),)
+    places: tuple[Place, ...] = (Place("out", motion_output),)
     """Its outputs; what it does not write itself is its result, which is saved at the first."""
     out: str = (
         "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells "

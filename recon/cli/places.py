@@ -35,6 +35,22 @@ def file_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     return (Output(path),)
 
 
+def motion_output(path: Path, _: Arguments) -> tuple[Output, ...]:
+    """Declare the path as a motion file, whose name must not end like a file of another kind.
+
+    Raises:
+        ValueError: when it ends in .bvh, .glb and the like, which other programs could not open.
+    """
+    if path.suffix.lower() in (
+        ".bvh", ".c3d", ".csv", ".fbx", ".glb", ".html", ".mot", ".mp4", ".npy", ".trc", ".usd"
+    ):  # fmt: skip
+        raise ValueError(
+            f"{path}: a motion is written as .npz; give such a name, and make other files of it "
+            "by `recon export` or `recon view`"
+        )
+    return (Output(path),)
+
+
 def report_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     """Declare the path as an output file in JSON without another report."""
     return (Output(path, OutputKind.REPORT),)
@@ -51,8 +67,7 @@ def folder_or_npz_output(path: Path, given: Arguments) -> tuple[Output, ...]:
     Raises:
         ValueError: when several motions are asked for in one file.
     """
-    count = given.get("count", given.get("samples"))
-    if path.suffix == ".npz" and count > 1:
+    if path.suffix == ".npz" and (count := given.get("count", given.get("samples"))) > 1:
         raise ValueError(f"{path} is one file, but {count} motions were asked for; give a folder")
     return (Output(path, OutputKind.FILE if path.suffix == ".npz" else OutputKind.FOLDER),)
 
@@ -87,12 +102,13 @@ def writes(
             given = bound.arguments
             read = {name: value for name, value in given.items() if name not in written}
             check_inputs(read)
-            named = [place for place in places if given[place.parameter] is not None]
-            outputs = [
-                one for place in named for one in place.outputs(given[place.parameter], given)
-            ]
             check_outputs(
-                outputs,
+                [
+                    one
+                    for place in places
+                    if given[place.parameter] is not None
+                    for one in place.outputs(given[place.parameter], given)
+                ],
                 (*paths_in(tuple(read.values())), *reads(given)),
                 overwrite=given.get("overwrite", False),
             )

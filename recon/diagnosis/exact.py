@@ -164,8 +164,8 @@ def floor_finding(height: float) -> Finding:
     return Finding(
         "floor",
         f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
-        "recording's ground at z = 0; the height of the ground was estimated instead. If the "
-        "person stands on something, give --no-repair",
+        "recording's ground at z = 0; the height of the ground was estimated instead. Turn the "
+        "data where z is not up (--up); give --no-repair where the person stands on something",
         value=height,
     )
 

@@ -118,7 +118,7 @@ def numbers_of_columns(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """Parse the numbers in some columns of a table; NaN where a cell is blank or missing.
+    """Parse the numbers in some columns of a table; NaN where one is blank, missing, NA or null.
 
     Args:
         rows: cells of the rows below the header.
@@ -133,14 +133,18 @@ def numbers_of_columns(
     values = np.full((len(rows), len(columns)), np.nan)
     for line, row in enumerate(rows):
         if not least <= len(row) <= most:
-            raise FormatError(f"{name}: row {line} has {len(row)} cells, the header {most}")
+            raise FormatError(
+                f"{name}: row {line} has {len(row)} cells, the header {most}; where numbers have "
+                "commas for points, put semicolons between cells"
+            )
         for k, column in enumerate(columns):
-            if column < len(row) and row[column]:
+            cell = row[column] if column < len(row) else ""
+            if cell.lower() not in ("", "na", "n/a", "null", "none", "-"):
                 try:
-                    values[line, k] = float(row[column])
+                    values[line, k] = float(cell)
                 except ValueError as error:
                     raise FormatError(
-                        f"{name}: expected a number in row {line}, got {row[column][:40]!r}; "
+                        f"{name}: expected a number in row {line}, got {cell[:40]!r}; "
                         "leave cells empty where nothing was seen"
                     ) from error
     return values

@@ -23,7 +23,9 @@ _AXIS_FIRST = re.compile(r"^(?P<axis>[xyzXYZ])[\s_.:\-](?P<name>.+)$")
 _TIME_OF_DAY = re.compile(r"(\d+):(\d\d?):(\d\d?(?:\.\d+)?)")
 _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
-_TIME = ("timestamp", "time", "t", "seconds", "time_s", "timestamp_s")
+_TIME = ("timestamp", "time", "t", "seconds")
+_TIME_UNIT = re.compile(r"[\s_(\[]+(?:s|secs?|seconds|[mun]s|msec|milliseconds)[)\]]?$")
+"""Such as that of time_ms or Time (s), which the steps of the times tell again."""
 _MIN_KEYPOINTS = 2
 """Keypoints with all three coordinates from which on a table is one of keypoints in space."""
 _NAMES = ("names", "joint_names", "keypoint_names", "labels", "markers")
@@ -63,7 +65,7 @@ def read_table(path: Path) -> Points3D:
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or frame, "
             f"keypoint, x, y, z; got {', '.join(rows[0][:6]) if rows else 'nothing'}"
         )
-    first = [cell.lower() for cell in rows[0]]
+    first = [_TIME_UNIT.sub("", cell.lower()) for cell in rows[0]]
     if {"x", "y", "z"} <= set(first):
         return _read_long(rows[1:], first, name)
     if first[0] != "scorer":
@@ -84,10 +86,9 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
     needed = [k for axes in columns.values() for k in axes]
     values = numbers_of_columns(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
-    lower = [cell.lower() for cell in header]
-    frames, times = (_numbers_of_column(rows, lower, words, name) for words in (_FRAME, _TIME))
-    if frames is None or not np.isfinite(frames).all() or len(frames) == 0:
-        return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
+    lower = [_TIME_UNIT.sub("", cell.lower()) for cell in header]
+    found, times = (_numbers_of_column(rows, lower, words, name) for words in (_FRAME, _TIME))
+    frames = np.zeros(0) if found is None or not np.isfinite(found).all() else found
     steps = np.diff(frames)
     if not (steps > 0).all():
         raise FormatError(
@@ -102,7 +103,9 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     positions = np.full((index[-1] + 1, *values.shape[1:]), np.nan)
     positions[index] = values
     said = f"{len(positions) - len(values)} frames that are missing between others are unseen"
-    return Points3D(name, positions, tuple(columns), decisions=(said,))
+    return Points3D(name, positions, tuple(columns), decisions=(said,)).with_rate_of_times(
+        None if times is None else np.interp(np.arange(len(positions)), index, times)
+    )
 
 
 def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
@@ -131,11 +134,10 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
                 "model in the table: write the rows of one of them to a file of its own"
             )
         spot[:] = values[k]
-    points = Points3D(name, positions, tuple(place))
     times = _numbers_of_column(rows, header, _TIME, name)
     known, first = np.unique(index, return_index=True)
-    return (
-        points if times is None or len(known) < count else points.with_rate_of_times(times[first])
+    return Points3D(name, positions, tuple(place)).with_rate_of_times(
+        None if times is None else np.interp(np.arange(count), known, times[first])
     )
 
 
@@ -191,7 +193,7 @@ def read_array(path: Path) -> Points3D:
     if found is None:
         raise FormatError(
             f"{path}: expected numbers of shape (frames, points, 3), got {array.dtype} "
-            f"{array.shape}"
+            f"{array.shape}; keypoints in pixels go into an .npz, keypoints=(frames, points, 3)"
         )
     return Points3D(path.name, found)
 

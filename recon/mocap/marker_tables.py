@@ -151,7 +151,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     lines = decoded_text(read_bytes(path)).splitlines()
     if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
         raise FormatError(f"{name}: expected a TRC file, five header lines from PathFileType on")
-    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    header = dict(zip(lines[1].split(), lines[2].replace(",", ".").split(), strict=False))
     labels = _labels(lines[3])
     if not any(labels) or lines[3].split()[0].lower() != "frame#":
         raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
@@ -205,7 +205,7 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
     SAMPLES.check(max(len(lines), 1) * markers, name)
     table = np.full((len(lines), width), np.nan)
     rows = beyond = 0
-    for line in lines:
+    for line in (one.replace(",", ".") for one in lines):  # decimal commas
         if not line.strip():
             continue
         cells = line.split("\t") if "\t" in line else line.split()

@@ -67,7 +67,10 @@ def read_recording(
         raise FormatError(f"{path}: this is a skeleton without motion; give one of its .amc files")
     if name.endswith((".npz", ".npz.xz")):
         raise FormatError(f"{path}: these are arrays, not a recording of motion capture")
-    raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
+    raise FormatError(
+        f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}, or what "
+        "`recon fit` reads (docs/files.md)"
+    )
 
 
 def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:

@@ -184,7 +184,8 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
         raise UnitsError(
             f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
             "average person in metres, which no person is in m, cm or mm"
-            f"{hint_at_unusual_unit(_STATURE * found.size)}; scale them to metres, or give --unit"
+            f"{hint_at_unusual_unit(_STATURE * found.size)}; scale them to metres, or give "
+            "--unit; keypoints in pixels go into an .npz, keypoints=(frames, points, 3)"
         )
     size = found.size * METRES[unit or fitting[0]]
     if unit is None:

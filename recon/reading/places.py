@@ -141,7 +141,7 @@ def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
         if len(inside) == 0:
             raise ObservationError(
                 f"{path}: expected .json files of one camera, or a folder per camera with them, "
-                "or a .csv or .npz of keypoints for each"
+                "or a .csv or .npz of keypoints for each; or scans (.ply, .pcd, .obj, .xyz, .npy)"
             )
         if inside != [path]:
             notes.append(f"{path}: {len(inside)} views, {', '.join(str(one) for one in inside)}")

@@ -229,6 +229,8 @@ def test_metrics_are_the_same_for_files_results_and_joints(tmp_path):
     alone = recon.evaluate(result, joints)
     assert alone["joints_all"] == pytest.approx(found["joints_all"], abs=1e-5)
     assert alone["accel_error"] == pytest.approx(found["accel_error"], abs=1e-2)
+    np.save(tmp_path / "joints.npy", joints)
+    assert recon.evaluate(result, tmp_path / "joints.npy") == alone
     assert "joints, all" in ten_lines(found)
     found.save(tmp_path / "metrics.json")
     assert json.loads((tmp_path / "metrics.json").read_text())["joints_all"] == found["joints_all"]

@@ -242,6 +242,7 @@ def test_a_floor_at_another_height_is_estimated():
         found = changed(lambda positions, h=height: positions + torch.tensor([0.0, 0.0, h]))
         assert codes(found) == (["floor"], ["floor"])
         assert found.said.repairs[0].value == pytest.approx(height, abs=0.03)
+        assert "where z is not up (--up)" in found.said.repairs[0].message
         assert not found.points.ground_known
 
 

@@ -143,8 +143,15 @@ def test_trc_with_and_without_the_blank_line_and_trailing_cells(tmp_path: Path) 
     lines = (tmp_path / "clip.trc").read_text().split("\n")
     assert lines[5] == ""
     (tmp_path / "tight.trc").write_text("\r\n".join(lines[:5] + [f"{x}\t" for x in lines[6:]]))
-    first, second = (read_recording(tmp_path / f"{n}.trc") for n in ("clip", "tight"))
+    commas = [*lines[:2], lines[2].replace("100\t", "100,00\t"), *lines[3:5]]
+    commas += [line.replace(".", ",") for line in lines[5:]]
+    (tmp_path / "commas.trc").write_text("\n".join(commas))  # as where Windows speaks German
+    first, second, third = (
+        read_recording(tmp_path / f"{n}.trc") for n in ("clip", "tight", "commas")
+    )
     assert np.array_equal(first.positions, second.positions)
+    assert np.array_equal(first.positions, third.positions)
+    assert third.fps == 100
 
 
 def test_trc_rate_comes_from_the_times_where_the_header_is_wrong(tmp_path: Path) -> None:

@@ -87,16 +87,33 @@ def test_tables_of_other_spreadsheets_are_read(tmp_path, mark, encoding):
     agrees(read(tmp_path / "b.csv", frame_rate=30.0)[0], x)
 
 
-@pytest.mark.parametrize("ticks", [1.0, 1e3, 1e6, 1e9])
-def test_times_may_count_parts_of_seconds(tmp_path, ticks):
+@pytest.mark.parametrize(
+    ("head", "ticks"),
+    [("time", 1.0), ("Time (s)", 1.0), ("time_ms", 1e3), ("Timestamp [us]", 1e6), ("t ns", 1e9)],
+)
+def test_times_may_count_parts_of_seconds(tmp_path, head, ticks):
     """Milliseconds were taken for seconds: a frame every 33 s, which ended in a traceback."""
     names, x = keypoint_names("coco17"), points("coco17")
-    header = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    header = [head, *(f"{name}_{axis}" for name in names for axis in "xyz")]
     with (tmp_path / "a.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(header)
         rows.writerows([t / 30 * ticks, *one] for t, one in enumerate(x.reshape(FRAMES, -1)))
     agrees(read(tmp_path / "a.csv")[0], x)
+
+
+@pytest.mark.parametrize("missing", ["NA", "null", "-", "NaN", ""])
+def test_frames_and_cells_may_be_missing_where_times_are_known(tmp_path, missing):
+    """A table with a gap in its frames was said to state no rate; NA, as R writes, was refused."""
+    names, x = keypoint_names("coco17"), points("coco17")
+    header = ["frame", "time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    table = [[t, t / 30, *one] for t, one in enumerate(x.reshape(FRAMES, -1).tolist())]
+    table[1][2:5] = [missing] * 3
+    with (tmp_path / "a.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *table[:3], *table[5:]])
+    seen, _ = read(tmp_path / "a.csv")
+    assert (seen.fps, seen.moments) == (30.0, FRAMES)
+    assert int((~seen.visible).sum()) == 2 * len(names) + 1
 
 
 def test_times_that_tell_no_rate_are_named(tmp_path):

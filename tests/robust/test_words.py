@@ -13,6 +13,7 @@ import pytest
 import torch
 
 import recon
+from recon.api.observations import clip_of
 from tests.robust.doors import refused_by_command
 
 JOINTS = np.random.default_rng(0).normal((0, 0, 1), 0.3, (8, 22, 3))
@@ -86,6 +87,8 @@ ROWS: dict[str, Row] = {
     "nothing": (lambda _: recon.fit([]), S, "nothing to fit"),
     "two clips": (lambda _: recon.fit(joints(np.stack([JOINTS] * 2), np.stack([SEEN] * 2))), S,
                   r"leading axes \(2,\)"),
+    "arrays by name": (
+        lambda _: clip_of({"positions": JOINTS}, recon.BodyModel.load()), S, "Joints3D.*got dict"),
     "no such observation": (lambda d: recon.fit(d / "none.npz"), FileNotFoundError, r"none\.npz"),
     # how it is fitted
     "unknown prior": (fitted(prior="humour"), W, "humour"),
@@ -121,6 +124,12 @@ ROWS: dict[str, Row] = {
         loaded("a_keypoints.json", b'{"people": []}'), S, "--frame-rate"),
     "reader that cannot be imported": (loaded("a.bin", reader="nobody:Nothing"), R, "imported"),
     "reader that reads nothing": (loaded("a.bin", reader="pathlib:Path"), S, "reads"),
+    "pixels in a plain array": (
+        lambda d: (np.save(d / "a.npy", JOINTS[..., :2]), recon.load_observation(d / "a.npy")),
+        F, r"\(8, 22, 2\); keypoints in pixels go into an .npz"),
+    "decimal commas between commas": (
+        loaded("a.csv", b"nose_x,nose_y,nose_z,neck_x,neck_y,neck_z\n" + b"1,5," * 6),
+        F, "put semicolons between cells"),
     "two coordinates": (stored(positions=JOINTS[..., :2]), F, r"o\.npz.*positions"),
     "unknown names": (stored(), S, "no joint is called point 0"),
     "unknown sensor": (stored(kind="sonar"), F, "joints3d, markers3d, keypoints3d"),
@@ -142,6 +151,8 @@ ROWS: dict[str, Row] = {
     "continuation of a later time": (lambda _: recon.predict(clip(), at=9.0), R, "at: expected"),
     "share above 1": (lambda _: recon.interpolate(clip(), clip(), 1.5), R, "to 1 .*got 1.5"),
     "truth of other frames": (lambda _: recon.evaluate(clip(), np.zeros((3, 22, 3))), R, "truth"),
+    "truth in millimetres": (
+        lambda _: recon.evaluate(clip(), 1000 * np.tile(JOINTS, (5, 1, 1))), U, "truth.joints: "),
     "recording of nothing": (lambda d: recon.convert(d / "none.bvh"), FileNotFoundError,
                              r"none\.bvh: no such file"),
     "stream of no lag": (lambda _: recon.Stream(lag=-1), R, "lag: expected 0 to 120 frames"),
@@ -176,6 +187,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
     "without OUT": (("fit", "a.npz"), "--out"),
     "below a file": (("sample", "--seconds", "0.1", "--out", "file/m.npz"), "which is a file"),
     "motion as folder": (("fit", "seen.npz", "--out", "."), "is a folder"),
+    "motion as BVH": (("fit", "seen.npz", "--out", "m.bvh"), "make other files of it by `recon"),
     "unknown kind": (("simulate", "a.npz", "b.npz", "--kind", "sonar"), "joints3d"),
 }
 
