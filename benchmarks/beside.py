@@ -38,7 +38,7 @@ from scripts.frozen.__main__ import Worker
 
 LIBRARY = ("recon", "priors", "observations")
 MOST_MEAN, MOST_UPPER = 1.01, 1.02
-"""Ratio of errors up to which a row is met, and upper end of its interval."""
+"""Largest mean ratio of errors of a row that is met, and upper end of its interval."""
 Pair = Mapping[str, Any]
 """A line of the log: `row`, `group`, `case`, `window`, `subject`, `commits`, and, for the other
 checkout and this one, error `values`, CPU `seconds` and the reason why it `refused`."""

@@ -47,7 +47,7 @@ Values = dict[str, float | None]
 _LEGS_HIDDEN = {"hide_below": 0.9, "during": (0.67, 1.33)}
 """Options that hide the legs in the middle third of the two seconds."""
 _GAP_SHARE, _GAP_SECONDS = 0.3, (0.2, 1.0)
-"""Share of every marker's positions that are in gaps, and range of the durations (s) of these."""
+"""Share of every marker's positions that are in gaps, and range of the gaps' durations (s)."""
 _SHAPES = ("height=1.60", "height=1.90,weight=95", "woman,short", "man,heavy")
 BATCH = 16
 """Number of clips of a batch, which two processes fit."""

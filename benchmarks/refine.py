@@ -73,7 +73,7 @@ class RegressorErrors:
     drift: float = 0.08
     """Standard deviation per axis of the error of the path's velocity, m/s."""
     drift_seconds: float = 1.0
-    """Time after which the correlation of that error has fallen to one half."""
+    """Time after which the correlation of the path's velocity error has fallen to one half."""
     place_jitter: float = 0.003
     """Error of the position, independent in every frame, metres per axis."""
     swaps: float = 0.1

@@ -59,15 +59,14 @@ class Row:
     """The error that the protocol is about, metres: of all joints, hidden points, joints within
     the gap, or hidden legs; None where nothing was hidden."""
     slip: float | None
-    """Mean speed of the feet while the true ones are in contact, metres per second; below, that of
-    the truth."""
+    """Mean speed (m/s) of the fitted feet while the true ones are in contact."""
     slip_truth: float | None
     network: tuple[int, int, int, int] | None
-    """Contacts of feet by the network: right ones where the truth touches, moments in which it
-    touches, right ones where it does not, moments in which it does not. None where the method
-    says nothing of contacts, or the truth is not known."""
+    """Counts of contacts of feet by the network: right ones where the truth touches, frames in
+    which it touches, right ones where it does not, frames in which it does not. None where the
+    method predicts no contacts, or the truth is not known."""
     labels: tuple[int, int, int, int] | None
-    """Counts for labels that are made from the method's motion, in the same order."""
+    """Counts as in `network` for contacts that are labelled by the method's motion."""
 
 
 def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:

@@ -20,7 +20,7 @@ from recon.formats.motions import load_motion
 SHORT = 20.0
 """Total duration (s) of a person's recordings below which people are held out together."""
 GROUP = "short"
-"""Name of the fold of these people."""
+"""Name of the fold of all people with short recordings."""
 UNKNOWN = "unknown"
 """Subject of clips whose person is unknown."""
 NEAR = 6.0

@@ -149,7 +149,7 @@ _FLYING_M_S, _FLYING_SHARE = 0.5, 0.05
 may run or jump. In 19 of 20 clips, training people who walk before a phone held in the hand stay
 below it, and those who run before a fixed camera exceed it."""
 _BRIEF_S, _BRIEF_SHARE = 0.13, 0.2
-"""Time (s) for which a foot of a runner or jumper rests, and the share of such frames."""
+"""Time (s) for which a foot of a runner or jumper rests, and share of frames in which one does."""
 _NEVER_RESTS_M_S, _NEVER_RESTS_SHARE = 0.05, 0.12
 """Speed of the slowest part of the feet over `_BRIEF_S`, in m/s and as a share of its speed in
 flight, above which not even a runner's foot rests, so that the camera moves. Training people who

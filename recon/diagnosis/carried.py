@@ -40,11 +40,11 @@ _MIN_GAIN = 0.07
 """Least decrease of the mean Cauchy loss per sample when the rigid motion may include a
 rotation."""
 _MIN_GAIN_SHARE = 0.1
-"""The same as a share of the loss without rotation. Good fits to one camera of validation people,
-at rates above the smallest, reach 0.09; of those to a camera that is carried around the person at
-20 degrees per second, four in five have more than 0.1."""
+"""Least decrease of the loss by a rotation, as a share of the loss without. Good fits to one
+camera of validation people, at rates above the smallest, reach 0.09; of those to a camera that is
+carried around the person at 20 degrees per second, four in five have more than 0.1."""
 _MIN_GAIN_SHARE_AT_REST = 0.15
-"""The same where feet rest in the image, as they do before a fixed camera."""
+"""Least decrease of the loss by a rotation, if feet rest in the image as for a fixed camera."""
 
 
 def standing_soles(

@@ -52,14 +52,15 @@ _WEIGHT_OF_UNIT: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
 density that approximates them here, so errors are smaller than the Hessian predicts; chosen so
 that 90 % of the errors of seen validation joints lie within 1.645 standard deviations."""
 _PATCH_WEIGHT = 0.05
-"""The same for a patch of a cloud's surface in one frame, chosen likewise: errors by another body
-shape and clothes stay the same over many frames."""
+"""Number of independent observations that a patch of a cloud in one frame counts as, chosen
+likewise: errors by another body shape and clothes stay the same over many frames."""
 _STANCE_STD_M = 0.03
 """Standard deviation (m) of the mean height of standing feet above the ground, per clip."""
 _LEAN_STD_RAD = 0.04
 """Standard deviation (rad) of the mean lean of a clip's body from the vertical."""
 _LEAN_STD_NO_GRAVITY_RAD = 0.09
-"""The same where the ground was found without a prior that knows the direction of gravity."""
+"""Standard deviation (rad) of the mean lean, if the prior does not know the direction of
+gravity."""
 
 
 def certainty(found: ClipFit) -> Deviations | None:
@@ -129,7 +130,7 @@ _HEIGHT_STD_RATIO = 0.3
 prior that knows gravity, which holds standing feet to the ground. This ratio and the next were
 chosen by likelihood on validation people, over all sensors of `benchmarks.uncertainty`."""
 _FREE_STD_RATIO = 1.4
-"""The same ratio under the other priors, which leave hidden feet free in height."""
+"""Ratio as `_HEIGHT_STD_RATIO`, for priors that leave hidden feet free in height."""
 
 
 def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor, "time 22"]:
@@ -161,7 +162,7 @@ class AlternativeMotion:
     """Another motion that explains the data, compared with the chosen one by objective value."""
 
     kind: str
-    """What distinguishes it: "heading", "leg order" or "posture"."""
+    """Kind of its difference from the chosen motion: "heading", "leg order" or "posture"."""
     turn: float
     """Mean difference of its heading from that of the chosen motion, 0 to 180 degrees."""
     distance: float
@@ -173,7 +174,7 @@ class AlternativeMotion:
 
     @property
     def excess(self) -> float:
-        """By how much this motion's energy is larger, as a share of the chosen motion's."""
+        """Excess of this motion's energy over the chosen motion's, as a share of the latter."""
         if self.chosen_energy <= 0:  # as happens with data without noise
             return math.inf
         return self.energy / self.chosen_energy - 1

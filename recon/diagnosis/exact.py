@@ -20,10 +20,10 @@ _MIN_EQUAL_FRAMES = 3
 """Number of consecutive frames with one position from which on a point counts as held; two equal
 values may be rounding in a file with few digits."""
 _MIN_STEP_M = 1e-4
-"""Step (m) of some point to the next frame above which the body moves; a statue repeats, too."""
+"""Step (m) of some point to the next frame above which the body moves; a statue does not."""
 _MIN_PATH_M = 2e-3
-"""Median length (m) of the points' paths meanwhile, above which holding a point is an error:
-people who stand still sway by less than the last digit of some files."""
+"""Median length (m) of all points' paths while one is held, above which that is an error: people
+who stand still sway by less than the last digit of some files."""
 _MAX_COMPUTED_NOISE_M = 3e-4
 """Noise (m) below which positions are computed rather than measured; animated feet stand exactly
 still, which is no fault."""
@@ -122,7 +122,7 @@ _SOLE_RANGE_JOINTS_M, _SOLE_RANGE_MARKERS_M = (-0.065, 0.036), (-0.055, 0.07)
 soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes lift markers
 once more."""
 _SOLE_RANGE_STDS = 1.0
-"""Standard deviations of a coordinate by which the range of heights is at least wide."""
+"""Distance of soles from the ground that is always plausible, in standard deviations."""
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.72, 1.25
 """Plausible sizes relative to the average body of 1.70 m: older children and adults."""
 _LOWEST_QUANTILE, _MAX_SOLE_TO_POINT_M = 0.05, 0.2

@@ -23,11 +23,11 @@ from recon.diagnosis.images import (
 _MIN_JUMP_M = 0.08
 """Distance (m) by which both keypoints leave their own paths when their names are exchanged."""
 _MAX_MISS_SHARE = 0.5
-"""Share of that distance by which they may then miss the other keypoint's path."""
+"""Distance of a jumping keypoint from the other's path, as a share of that from its own path."""
 _MIN_JUMP_RATIO = 5.0
-"""The same distance as a multiple of the usual distance from predicted positions."""
+"""Distance of both keypoints from their own paths, as a multiple of what is usual."""
 _MAX_JUMPING_SHARE = 0.35
-"""Share of the keypoints that may jump in such a frame; if more do, the whole body jumps."""
+"""Share of the keypoints that may jump in one frame; if more do, the whole body jumps."""
 _MIN_LENGTH_SAVED_M = 0.03
 """Metres by which the bones of a limb are on average too long when two of its ends are exchanged
 throughout; in good windows of validation people exchanging never saves as much."""

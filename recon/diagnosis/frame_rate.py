@@ -111,7 +111,7 @@ _MAX_IMBALANCE_M = 0.18
 """Largest plausible mean distance (m) of the zero moment point from the feet. CMU's walks have
 0.06 and dances 0.17 (98th percentiles)."""
 _MAX_IMBALANCE_SHARE = 0.45
-"""Share of that distance to which a lower frame rate must reduce it."""
+"""Ratio to which a lower frame rate must reduce the zero moment point's distance from the feet."""
 _RATE_FACTORS = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 

@@ -45,7 +45,7 @@ _MIN_HELD_MOMENTS = 4
 """Number of consecutive frames at one place from which on a keypoint counts as held; two or three
 may be chance where a detector writes whole pixels."""
 _HELD_RATIO = 3
-"""The same number as a multiple of what is usual for the view's keypoints."""
+"""Number of frames at one place, as a multiple of what is usual, for a keypoint to be held."""
 _MIN_REPEATED_SHARE, _MIN_KEYPOINTS = 0.9, 5
 """Share of a frame's keypoints that must repeat in a copied frame, and their least number."""
 _MIN_PHOTOGRAPH_SHARE = 0.8
@@ -141,12 +141,12 @@ _OUTLIER_M = 0.25
 """Distance (m at the body) of an outlier from its median over five frames; a hand that turns as
 fast as hands do is 0.1 m away at 30 Hz."""
 _OUTLIER_RATIO = 8.0
-"""The same distance as a multiple of what is typical for the view's keypoints."""
+"""Distance of an outlier from its median over time, as a multiple of what is typical."""
 _MEDIAN_FRAMES = 2
-"""Number of frames before and after that the median covers."""
+"""Number of frames before and after that the median of the outlier test covers."""
 _SECOND_PASS = (4, 0.35)
-"""The same number, and the distance (m), for a second pass: three outliers in five frames hide
-each other."""
+"""Number of frames before and after, and distance (m), of a second pass of the outlier test: three
+outliers in five frames hide each other."""
 _MAX_ROUNDS = 5
 """Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
 _REPORTED_SHARE = 0.01
@@ -157,8 +157,9 @@ _JUMP_M = 0.05
 person is followed from there on. In good windows of validation people they do so by less than
 0.075 m at 3 and 6 pixels of noise, and then in all frames."""
 _JUMP_RATIO = 3.0
-"""The same distance as a multiple of its median over frames; good windows stay below 2. Of 64
-validation clips that switch to a person 0.3 m away, at 3 and 6 pixels of noise, 61 are above 3."""
+"""Ratio of a jump of half of the keypoints to its median over frames; good windows stay below 2.
+Of 64 validation clips that switch to a person 0.3 m away, at 3 and 6 pixels of noise, 61 are above
+3."""
 _DISORDER_M = 0.12
 """Typical distance (m) from frame to frame above which frames may be out of order."""
 _MIN_GROWTH = 1.25

@@ -22,14 +22,14 @@ from recon.diagnosis.quick_fit import without_implausible
 _MAX_REMAINING_SHARE = 0.5
 """Share of their errors that may remain when two points exchange their names."""
 _MIN_LENGTH_SAVED_M = 0.08
-"""Sum (m) by which the exchange must reduce the errors of the lengths of bones."""
+"""Sum (m) by which exchanging two names must reduce the errors of the lengths of bones."""
 _MIN_NEARER_M = 0.15
-"""Sum (m) by which the exchange must bring both points nearer to their places in a frame."""
+"""Sum (m) by which exchanging two points must bring them nearer to their places in a frame."""
 _MIN_STDS = 6.0
 """Standard deviations of a coordinate beyond which a position is an outlier, and by which two
 points must come nearer when they exchange names."""
 _MAX_GAP, _MIN_STRETCH = 2, 2
-"""Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
+"""Largest gap between exchanged frames that is closed, and shortest stretch of them (frames)."""
 
 
 Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
@@ -119,7 +119,7 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
 
 
 def _cosine_across(points: NamedPoints, a: int, b: int) -> float:
-    """Median cosine between the directions from two points to their counterparts; 1 if unseen."""
+    """Return the median cosine between left-to-right directions of two pairs; 1 if unseen."""
     ends = [(k, points.counterparts[k]) for k in (a, b)]
     seen = points.visible[:, [*ends[0], *ends[1]]].all(1)
     across = [points.positions[seen, left] - points.positions[seen, right] for left, right in ends]
@@ -171,7 +171,7 @@ _MAX_STEP_RATIO = 0.6
 """Ratio of the steps from the other side's last places to those from a point's own places, below
 which names were exchanged."""
 _MIN_SAVED_M = 0.1
-"""Difference (m) of these steps per point, below which both sides were in the same place."""
+"""Least decrease (m) of the step per point by an exchange; below, both sides were in one place."""
 
 
 def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
@@ -231,7 +231,7 @@ _REPORTED_SHARE = 0.02
 _MIN_AWAY_M = 0.08
 """Median distance (m) from which on a point may be away from its place throughout."""
 _MIN_AWAY_RATIO = 3.0
-"""The same distance as a multiple of the other points' median distance."""
+"""Median distance of a misplaced point, as a multiple of the other points' median distance."""
 _OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
 """Metres of a constant offset from which on a point is misplaced. Joints of other models are
 within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
@@ -249,9 +249,9 @@ still in the room; limbs may return to it."""
 _MAX_STILL_RADIUS_M = 0.08
 """Distance (m) from its median within which a point that stands still in the room remains."""
 _STILL_QUANTILE = 0.9
-"""Quantile of these distances that must be within the radius."""
+"""Quantile of a still point's distances from its median that must be within the radius."""
 _MIN_BODY_MOTION_M = 0.2
-"""Largest distance (m) from its median that the body must move the point meanwhile."""
+"""Largest distance (m) that the body must move from its median for a point to be held still."""
 
 
 def misplaced_points(

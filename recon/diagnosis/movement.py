@@ -23,7 +23,7 @@ _GROUND_QUANTILE = 0.1
 """Quantile over time of the lower sole's height that is the height of the ground."""
 _HEEL_RATIO, _TIP_RATIO = 0.4, 0.5
 """How far the sole reaches behind the ankle and beyond the toe joint, relative to the distance of
-these two."""
+these two joints."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Movement:
 
     joints: Float[np.ndarray, "time 22 3"]
     centre: Float[np.ndarray, "time 3"]
-    """Centre of mass."""
+    """Position of the centre of mass (m)."""
     leg: float
     """Length of a leg (m) from the hip joint over the knee to the ankle."""
     ankles: Float[np.ndarray, "time 2 3"]
@@ -43,7 +43,7 @@ class Movement:
     sole_heights: Float[np.ndarray, "time 2"]
     """Height of the lowest part of the left and the right foot."""
     soles: Float[np.ndarray, "time 2 2 3"]
-    """Heel and tip of the left and the right foot, at the height of the joints."""
+    """Positions (m) of heel and tip of the left and right foot, at the height of its joints."""
     ground: float
     """Height of the ground: a low quantile of the heights of the lower sole."""
     forward: Float[np.ndarray, "time 2"]
@@ -204,7 +204,7 @@ _SOLE_HEIGHT_M = 0.03
 _MAX_RELATIVE_DEVIATION = 0.2
 """Relative deviation from the belt's velocity up to which a foot is carried by it."""
 _MIN_DEVIATION_M_S = 0.2
-"""The same in m/s, if that is more, as for slow belts."""
+"""Least tolerance (m/s) for the velocity of a foot that is carried by a belt."""
 _MIN_CARRIED_SHARE = 0.55
 """Share of the frames with a sole on the ground in which it must move with the belt."""
 _STILL_M_S = 0.3

@@ -28,7 +28,7 @@ class NamedPoints:
     """Positions of the named points of one clip, as arrays for the checks."""
 
     positions: Float[np.ndarray, "moments points 3"]
-    """Frame of the recording, metres; zero where not visible."""
+    """Positions in the recording's frame (m); zero where not visible."""
     visible: Bool[np.ndarray, "moments points"]
     names: tuple[str, ...]
     bones: tuple[int, ...]

@@ -28,23 +28,23 @@ _MISS_STDS = 2.2
 """Largest distance, in standard deviations of the keypoints, between the rays of a good view and
 the points of two others; validation windows have 1.4 to 2.1."""
 _PAIR_MISS_STDS = 0.8
-"""The same between the rays of two good views and the points triangulated from both; validation
-windows have 0.5."""
+"""Largest distance, in standard deviations of the keypoints, between the rays of two good views
+and the points triangulated from both; validation windows have 0.5."""
 _ALL_MISS_STDS = 1.2
-"""The same between the rays of three or more good views and the points triangulated from all;
-validation windows have 0.8."""
+"""Largest distance, in standard deviations of the keypoints, between the rays of three or more
+good views and the points triangulated from all; validation windows have 0.8."""
 _SUSPECT_RATIO = 1.3
-"""Ratio to this distance from which on a view is examined."""
+"""Ratio of a view's distance to that of good views, from which on the view is examined."""
 _MIN_ODDS_M = 0.095
 """Distance (m) from which on a view is called at odds whatever its noise: real recordings with a
 usable calibration (Pose2Sim's) stay below 0.087."""
 _MIN_PAIR_ODDS_M = 0.06
-"""The same between the rays of two views and their common points; usable calibrations stay below
-0.032."""
+"""Distance (m) between the rays of two views and their common points, from which on they are
+called at odds; usable calibrations stay below 0.032."""
 _STRETCH_MISS_M = 0.2
 """Distance (m) by which a view must miss the others for a stretch to be left out."""
 _MIN_STRETCH_S = 0.15
-"""Least duration (s) of such a stretch."""
+"""Least duration (s) of a stretch that is left out."""
 _SIMPLER_RATIO = 1.15
 """Ratio to the least remaining error up to which the simplest explanation is preferred."""
 _MAX_MIRRORED_RATIO = 0.6

@@ -56,7 +56,7 @@ _MIN_POSITIONS = 12
 _SIDES_RATIO = 0.75
 """Ratio of the costs of fits with and without exchanged sides, below which they are exchanged."""
 _PAIR_RATIO = 0.9
-"""The same ratio for two points that exchange their names."""
+"""Ratio of the costs of fits with and without two exchanged points, below which they are."""
 _MAX_MISPLACED_SHARE = 0.1
 """Share of the points that may be misplaced; if more seem to be, the fit is wrong."""
 _KERNEL_STDS, _MIN_KERNEL_M = 4.0, 0.05

@@ -33,9 +33,9 @@ _MAX_SPIKE_M = 0.5
 """Distance (m) by which a point may be away from its own median over a quarter of a second; hands
 that punch and feet that kick turn around within less."""
 _HALF_WINDOW_S = 0.12
-"""Time (s) before and after each frame over which that median is taken."""
+"""Time (s) before and after each frame over which the running median is taken."""
 _MAX_HALF_FRAMES = 7
-"""Largest number of frames before and after that it uses, evenly spread over that time."""
+"""Largest number of frames before and after in the running median, spread over that time."""
 
 
 def without_implausible(points: NamedPoints) -> NamedPoints:
@@ -80,7 +80,7 @@ _MAX_NOISE_COST = 0.95
 be right. Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation
 people)."""
 QUICK_PACE = 15.0
-"""Frames per second of quick fits: half as many as a fit works on find the same start."""
+"""Frame rate (Hz) of quick fits; half the rate of full fits gives the same first motion."""
 _SHAPE_WEIGHT = 1e-4
 """Weight of the shape prior: unlike in a fit, an odd body must not explain a misplaced point."""
 _ITERATIONS, _ITERATIONS_OF_OTHERS = 40, 12

@@ -161,7 +161,7 @@ _MIN_NOISE_PX = 0.5
 _MIN_SQUARED_STDS = 60.0
 """Squared size, in standard deviations, from which on a part of a correction is certain."""
 _MIN_OTHER_SQUARED_STDS = 30.0
-"""The same for a part that is corrected together with a certain one."""
+"""Squared size, in standard deviations, of a part that is corrected with a certain one."""
 _MIN_MOVED_STDS = 0.4
 """Distance, in standard deviations of the keypoints, by which a correction must move them."""
 _MIN_COST_GAP = 60.0

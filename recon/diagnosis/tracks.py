@@ -24,7 +24,7 @@ _MIN_DISORDER_M = 0.05
 _LAGS = (3, 6, 10)
 """Numbers of frames after which a moving body is farther away than after one frame."""
 _MIN_GROWTH = 1.5
-"""Factor by which it must be farther then; a body in motion reaches more than two."""
+"""Ratio of the distances moved in `_LAGS` frames and in one, below which order is wrong."""
 _MIN_SEAMS = 4
 """Number of seams, which are sudden changes of the whole body's velocity, from which on frames are
 out of order; a change of person or of names has at most two."""
@@ -32,10 +32,10 @@ _MIN_SEAM_M_S = 0.8
 """Change of velocity (m/s) within one frame of at least half of the points at a seam. A kick or a
 landing changes it by at most 0.5 within a frame of 1/30 s."""
 _SEAM_NOISE_RATIO = 1.4
-"""Ratio of the largest such change by noise alone to the typical one."""
+"""Ratio of the largest change of velocity by noise alone to the typical one."""
 _SEAM_STD_RATIO = 5**0.5
-"""Standard deviation of such a change, in standard deviations of a coordinate: root of the sum of
-the squares of 1/2, 3/2, 3/2 and 1/2."""
+"""Standard deviation of a change of velocity by noise, in standard deviations of a coordinate:
+root of the sum of the squares of 1/2, 3/2, 3/2 and 1/2."""
 _MEDIAN_LENGTH = 1.5381722544550522
 """Median length of a vector of three independent standard normal numbers (chi distribution)."""
 _MIN_SEAM_POINTS = 8

@@ -62,7 +62,7 @@ class WholeRecording:
     weights: str = "open"
     """Weights of the prior of any motion, `open` or a file."""
     cycle_weights: str = "open"
-    """Weights of the prior of cycles, likewise."""
+    """Weights of the prior of cycles, `open` or a file."""
 
     @classmethod
     def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":

@@ -83,7 +83,7 @@ class Stretch:
     energy: float | None = None
     """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
     first: float | None = None
-    """The same under the first fit, with which it was compared."""
+    """Energy of the data under the first fit, with which that of the cycles was compared."""
 
     def report(self) -> dict[str, Any]:
         """Return the stretch as a dictionary of plain values, for reports."""

@@ -29,7 +29,7 @@ _SPEED_STD_M_S = 0.15
 """Standard deviation (m/s) of a standing foot's speed across its ray, mostly by detector
 errors."""
 _SPAN_S = 5 / 30
-"""Time (s) over which this speed is measured."""
+"""Time (s) over which the speed of a foot across its ray is measured."""
 _MIN_HOLD = 0.3
 """Value of h below which a foot is not held at all."""
 
