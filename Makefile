@@ -24,7 +24,7 @@ demo: .venv/installed
 	$(CI) demo
 
 test: .venv/developed
-	$(CI) lint types test numerics
+	$(CI) lint types test
 
 test-slow: .venv/developed
 	$(CI) slow

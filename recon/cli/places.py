@@ -41,7 +41,8 @@ def motion_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     Raises:
         ValueError: when it ends in .bvh, .glb and the like, which other programs could not open.
     """
-    if path.suffix.lower() in (
+    # what exists is refused for that, with more to say
+    if not path.exists() and path.suffix.lower() in (
         ".bvh", ".c3d", ".csv", ".fbx", ".glb", ".html", ".mot", ".mp4", ".npy", ".trc", ".usd"
     ):  # fmt: skip
         raise ValueError(
