@@ -1,9 +1,9 @@
-"""Names the tracks of a recording by a body with markers that follows them.
+"""Assigns marker names to the tracks of a recording, by following a body model with markers.
 
-A body is found in one frame; from there it is carried along, forwards and backwards: posed by the
-tracks that have names, it predicts where every marker is, and tracks are assigned anew. What every
-frame says about a track is added up. At last the body is fitted to all named markers, with its
-shape and their offsets, and everything is assigned once more.
+The body's pose is found in one frame and followed from there, forwards and backwards: fitted to
+the tracks named so far, the body predicts the position of every marker, and tracks are assigned to
+markers anew. The log odds of each track's names are summed over frames. Finally the body, its
+shape and the markers' offsets are fitted to all named tracks, and all are assigned once more.
 """
 
 from collections.abc import Sequence
@@ -22,30 +22,30 @@ from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.mocap.recording import MarkerRecording
 
 _RATE, _BEGINNINGS = 10.0, 6
-"""Frames a second that the body follows, and frames in which it is looked for."""
+"""Key frames per second in which the body is posed, and frames in which it is first searched."""
 _GOOD, _GOOD_PER_METRE, _TOLERABLE = 0.12, 2.4, 1.2
-"""Rank below which a body is found at once, how that grows by metre of the markers' spread, and
-times that below which unusual poses need not be tried."""
+"""Rank (see `FoundBody.rank`) below which a body is accepted at once; its increase per metre of
+standard deviation of the markers; and its multiple below which unusual poses are not tried."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
-"""Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
-on both sides of the first from which they are found at first."""
+"""Standard deviation (m) below which marker offsets count as known; rounds and number of frames of
+their calibration; and key frames on both sides of the first that the first calibration uses."""
 _COMPARED, _TURNED = 4, 3
-"""Frames in which a limb is turned, and times that the body is followed at most."""
+"""Frames in which turns of limbs are compared, and how often the body is followed at most."""
 _NOWHERE = 0.35
-"""Cost from which on it is not found."""
+"""Cost (see `FoundBody.cost`) above which no body is found, and nothing is named."""
 _LEAST, _ODDS = -4.0, 2.0
-"""Log odds that a frame takes from a name at most, and without which a track has none."""
+"""Lower limit of one frame's log odds for a name, and log odds that a track needs to be named."""
 _FEWEST = 4
-"""Markers that place a body in a frame."""
+"""Least number of named markers to which a pose is fitted in a frame."""
 _WEIGHT = 8.0
-"""Frames after which a track is no better for being longer."""
+"""Number of frames beyond which a longer track does not count more."""
 _FIT = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
 _FOLLOW = LevenbergMarquardt(max_iterations=3, tolerance=3e-2, damping=1e-3)
 """How a pose is fitted to named markers, and from its neighbour's pose while names are found."""
 
 
 class Naming:
-    """Assigns the markers of a set to the tracks of a recording, as far as they can be found."""
+    """Assigns marker names to the tracks of a recording; the result is in `marker`, `margin`."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class Naming:
         track: Int[np.ndarray, "time points"],
         bodies: list[MarkedBody],
     ) -> None:
-        """Begin without names; `track` is -1 where a point is not visible."""
+        """Begin with unnamed tracks; `track` is each point's track number, -1 where hidden."""
         self.seen, self.track, self.bodies = seen, track, bodies
         count = round(seen.frames / seen.fps * _RATE)
         keys = np.unique(np.linspace(0, seen.frames - 1, max(2, count)).astype(int))
@@ -61,7 +61,7 @@ class Naming:
         shape = int(track.max()) + 1, len(bodies[0].markers.labels)
         self.marker = np.full(shape[0], -1)
         self.margin = np.zeros(shape[0])
-        """Log odds by which the name of a track is likelier than the next."""
+        """Log odds of every track's name, less those of its next likely name."""
         self._sum, self._count = np.zeros(shape), np.zeros(shape[0])
 
     def run(self) -> None:
@@ -96,7 +96,7 @@ class Naming:
         self._name_tracks()
 
     def _first_body(self) -> tuple[FoundBody, int]:
-        """The body in the key frame that it fits best, and the number of this frame."""
+        """Search the body in a few key frames; return the best fit and the number of its frame."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         at = [int(part[counts[part].argmax()]) for part in parts]
@@ -117,7 +117,7 @@ class Naming:
         return best
 
     def _misfit(self, found: FoundBody, at: int) -> float:
-        """Rank of a body in a key frame, divided by the rank below which it is accepted at once.
+        """Return a found body's rank divided by the rank below which it is accepted at once.
 
         Where points have names of the set, as in a trial that is named like itself, the share of
         those that disagree is added: most are right, while a limb put on wrongly has a good rank.
@@ -130,13 +130,13 @@ class Naming:
         return (found.rank + against) / (_GOOD + _GOOD_PER_METRE * found.body.usual_spread)
 
     def _points_and_tracks(self, at: int) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the points of a key frame, and their tracks."""
+        """Return positions (m) and track numbers of the visible points of a key frame."""
         frame = self.keys[at]
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
     def _follow_and_turn(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
-        """Follow the body, again while it fits better with a limb turned about its length."""
+        """Follow the body through key frames; repeat while turning a limb improves the fit."""
         some = [
             int(part[(self.track[self.keys[part]] >= 0).sum(1).argmax()])
             for part in np.array_split(keys, min(_COMPARED, len(keys)))
@@ -152,7 +152,7 @@ class Naming:
             found, at = min(zip(turned, some, strict=True), key=lambda one: one[0].rank)
 
     def _follow_body(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
-        """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
+        """Fit poses from one key frame onwards, and sum the log odds of the tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
         ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
@@ -179,7 +179,7 @@ class Naming:
         self._translation, self._rotations = every.translation, every.rotations
 
     def _calibrated_body(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
-        """The body with a shape and offsets that fit the named markers of some key frames."""
+        """Return the body with shape and marker offsets fitted to named markers of key frames."""
         x, seen = self.named(self.keys)
         parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
         some = np.array([part[seen[part].sum(1).argmax()] for part in parts])
@@ -189,7 +189,7 @@ class Naming:
     def _mean_log_odds(
         self, tracks: Int[np.ndarray, " points"]
     ) -> Float[np.ndarray, "points markers"]:
-        """Mean log odds of every marker for some tracks, weighted by the tracks' lengths."""
+        """Return mean log odds of every marker for some tracks, weighted by their lengths."""
         count = self._count[tracks][:, None]
         return self._sum[tracks] / np.maximum(count, 1) * np.minimum(count, _WEIGHT)
 
@@ -206,7 +206,7 @@ class Naming:
         return marker
 
     def _name_tracks(self) -> None:
-        """Name every track by its votes: the markers it is assigned to, frame by frame."""
+        """Name each track by the marker to which it is assigned in most key frames."""
         every = np.arange(len(self.marker))
         total = self._mean_log_odds(every)
         votes = np.zeros_like(total)
@@ -240,7 +240,7 @@ class Naming:
         return np.split(rows[order], ends)
 
     def named(self, frames: Int[np.ndarray, " frames"]) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the named markers in some frames, and whether each is seen."""
+        """Return positions (m) of named markers in some frames, and a mask of those visible."""
         shape = len(frames), self._sum.shape[1]
         x, seen = np.zeros((*shape, 3)), np.zeros(shape, bool)
         rows, points = np.nonzero(self.track[frames] >= 0)
@@ -270,7 +270,7 @@ class Naming:
             self._count[mine] += 1
 
     def _sampled_tracks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frames and tracks for comparing tracks: a sample of the frames of every track."""
+        """Draw a few frames of every track; return frame numbers and their track numbers."""
         frames, numbers = list[np.ndarray](), list[np.ndarray]()
         for track, own in enumerate(self._frames_of_tracks()):
             pick = own[np.unique(np.linspace(0, len(own) - 1, int(_WEIGHT)).astype(int))]
@@ -301,7 +301,7 @@ def _fit_poses(
 def _log_odds_of_points(
     body: MarkedBody, poses: Poses, points: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Log odds of every point of some frames being every marker, by the pose in each."""
+    """Return, for each frame, log odds that each point is each marker of the posed body."""
     return [
         _log_odds(own[:, None] - places, body.spread)
         for own, places in zip(points, body.places(poses), strict=True)
@@ -311,6 +311,6 @@ def _log_odds_of_points(
 def _log_odds(
     away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
-    """Log odds of every point being every marker, against lying anywhere in a cubic metre."""
+    """Return log odds of normal distances against a uniform density of one per cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
     return np.maximum(near, _LEAST)

@@ -1,8 +1,8 @@
-"""Finds a body among points without names: its pose, and which point is which marker.
+"""Finds the pose of a body among points without names, and the marker that each point is.
 
-Usual poses are turned about the vertical and laid over the points; the likeliest are fitted to
-the points that lie nearest to their markers, which are then assigned again (iterative closest
-points, with one point for a marker).
+Common poses are turned about the vertical and laid over the points; those nearest to the points
+are fitted by iterative closest points: each marker is assigned at most one point, the pose is
+fitted to the assigned points, and points are assigned again.
 """
 
 from collections.abc import Sequence
@@ -19,56 +19,56 @@ from recon.ingest.marker_poses import Poses, pose_density
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
 _TURNS, _USUAL, _NEAR, _TRIED = 16, 40, 200, 12
-"""Turns about the vertical, poses that are tried at first, those whose points are assigned, and
-those that are fitted."""
+"""Number of turns about the vertical; of poses tried at first; of turned poses whose markers are
+assigned to points; and of those that are fitted."""
 _APART = 0.6
-"""Metres between points of a body and those of others or of objects."""
+"""Distance (m) between neighbouring points beyond which they belong to different bodies."""
 _REACH = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1, 0.1, 0.1)
-"""Metres beyond which a point is no marker, by iteration."""
+"""Greatest distance (m) of a point from the marker assigned to it, for each iteration."""
 _DROPS = (1, 2, 3)
-"""Iterations before which the worse half of the poses is given up."""
+"""Iterations before which the worse half of the poses is dropped."""
 _UNUSUAL = 0.01
 """Share of markers that do not fit that weighs as much as a unit of `FoundBody.unusual`."""
 _LIMBS = [
     *((joint, 1) for joint in (1, 2, 4, 5, 7, 8, 12)),
     *((joint, 0) for joint in range(16, 20)),
 ]
-"""Joints of limbs and head, and the axis along the limb in the rest pose."""
+"""Joints of limbs and head, and the number of the axis along each in the rest pose."""
 _QUARTERS = (0.5 * np.pi, np.pi, 1.5 * np.pi)
 """Turns of a limb about its length that may exchange its markers."""
 _CLOSE, _BETTER, _FINISHED = 4, 0.9, 4
-"""First iteration for poses that are nearly right, share of a rank that is clearly less, and turns
-that are fitted beyond this iteration."""
+"""Iteration at which fits of nearly right poses begin; ratio of ranks below which a turn is better;
+and number of turns that are fitted beyond the first iteration."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
 
 @dataclass(frozen=True)
 class FoundBody:
-    """A body that was found among points without names."""
+    """The fit of a body to the points of one frame: pose, assigned markers, cost."""
 
     body: MarkedBody
     pose: Poses
     marker: Int[np.ndarray, " points"]
-    """The marker that every point is, -1 of others."""
+    """Number of the marker that each point is, -1 for points that are none."""
     cost: float
-    """Share of markers and points that do not fit, 0 to 1."""
+    """Mean squared distance of assigned points, capped: 0 where all fit, 1 where none does."""
     unusual: float
-    """Mean squared coordinate of the pose in the density of poses; about 1 of usual ones."""
+    """Mean squared coordinate of the pose in the pose density; about 1 for common poses."""
 
     @property
     def rank(self) -> float:
-        """Cost with a penalty on unusual poses, since legs put on backwards fit as well."""
+        """Cost plus a penalty on rare poses, since legs turned backwards fit points as well."""
         return self.cost + _UNUSUAL * self.unusual
 
 
 def found_bodies(
     clouds: Sequence[Float[np.ndarray, "points 3"]], bodies: list[MarkedBody], effort: int
 ) -> list[FoundBody]:
-    """For each frame, the one of the given bodies that fits its points best, with its pose.
+    """Fit several bodies to the points of each frame; return the best fit of each frame.
 
     Args:
         clouds: the points of each frame, metres.
-        bodies: one of them is there.
+        bodies: candidates, of which the frames show one.
         effort: 1 to try the first poses of each, 3 to try the others, thrice as many closely.
     """
     upright = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
@@ -112,10 +112,10 @@ def found_bodies(
 def turned_limb(
     body: MarkedBody, poses: Poses, clouds: Sequence[Float[np.ndarray, "points 3"]]
 ) -> list[FoundBody] | None:
-    """The body with one limb turned about its length, where that fits some frames better.
+    """Return fits with one limb turned about its length; None where no turn is clearly better.
 
-    Markers of a hand, foot or head that were exchanged fit a single frame nearly as well, but not
-    several together.
+    Exchanged markers of a hand, foot or head fit one frame nearly as well as right ones, but not
+    several frames together.
 
     Args:
         body: with markers.
@@ -154,7 +154,7 @@ def _likely_places(
     points: Float[np.ndarray, "points 3"],
     effort: int,
 ) -> Int[np.ndarray, " chosen"]:
-    """Numbers of the poses, centred on their markers, that lie nearest to some points."""
+    """Return the numbers of the poses, centred on their markers, that lie nearest to points."""
     placed = places + np.median(points, 0)
     likely = np.argsort(_chamfer_distances(placed, points))[: _NEAR * effort]
     costs = np.array([assigned(one, points, _REACH[0])[1] for one in placed[likely]])
@@ -164,7 +164,7 @@ def _likely_places(
 def _one_body(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, "some 3"], Bool[np.ndarray, " points"]]:
-    """The largest group of points that is apart from all others, and a mask of it."""
+    """Return the largest group of points that is apart from all others, and a mask of it."""
     from scipy.cluster.hierarchy import fclusterdata
 
     group = fclusterdata(points, _APART, "distance") if len(points) > 1 else np.ones(len(points))
@@ -180,9 +180,9 @@ def _fits_of_poses(
     cloud: Int[np.ndarray, " poses"],
     trials: range = range(len(_REACH)),
 ) -> list[tuple[int, FoundBody]]:
-    """The best poses of one body, fitted to the points of their clouds, with the clouds' numbers.
+    """Fit poses of one body to the points of clouds; return the best with their cloud's number.
 
-    All are fitted at once, which takes hardly longer than a fit of one; worse ones are dropped.
+    All are fitted at once, which takes hardly longer than one fit; worse ones are dropped.
     """
     for trial in trials:
         found = _assigned_clouds(body.places(state), clouds, cloud, _REACH[trial])
@@ -210,14 +210,14 @@ def _assigned_clouds(
     cloud: Int[np.ndarray, " poses"],
     reach: float,
 ) -> list[tuple[Int[np.ndarray, " points"], float]]:
-    """The markers in every pose assigned to the points of its cloud; see `assigned`."""
+    """Assign the markers of every pose to the points of its cloud, as `assigned` does."""
     return [assigned(one, clouds[k], reach) for one, k in zip(places, cloud, strict=True)]
 
 
 def _better_half(
     costs: Float[np.ndarray, " poses"], cloud: Int[np.ndarray, " poses"]
 ) -> Int[np.ndarray, " kept"]:
-    """The poses of each cloud with the lower half of costs, ascending."""
+    """Return the numbers of the poses with the lower half of each cloud's costs, ascending."""
     kept = list[int]()
     for k in np.unique(cloud):
         own = np.flatnonzero(cloud == k)
@@ -228,7 +228,7 @@ def _better_half(
 def assigned(
     places: Float[np.ndarray, "markers 3"], points: Float[np.ndarray, "points 3"], reach: float
 ) -> tuple[Int[np.ndarray, " points"], float]:
-    """Marker of every point, -1 beyond `reach`, by the least sum of squares; and its mean cost."""
+    """Assign points to markers by least squares; return markers (-1 beyond `reach`), mean cost."""
     from scipy.optimize import linear_sum_assignment
 
     away = ((points[:, None] - places) ** 2).sum(-1) / reach**2
@@ -244,7 +244,7 @@ def assigned(
 def _chamfer_distances(
     places: Float[np.ndarray, "poses markers 3"], points: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, " poses"]:
-    """Mean squared distances from places to the nearest points and back, capped."""
+    """Return capped mean squared distances from places to nearest points and back (m²)."""
     a, b = torch.from_numpy(places).float(), torch.from_numpy(points).float()
     away = torch.cdist(a, b.expand(len(a), *b.shape)).clamp(max=_REACH[0]).square()
     return (away.amin(1).mean(-1) + away.amin(2).mean(-1)).numpy()
