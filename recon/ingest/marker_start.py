@@ -37,7 +37,7 @@ _LIMBS = [
 _QUARTERS = (0.5 * np.pi, np.pi, 1.5 * np.pi)
 """Turns of a limb about its length that may exchange its markers."""
 _CLOSE, _BETTER, _FINISHED = 4, 0.9, 4
-"""Iteration at which fits of nearly right poses begin; ratio of ranks below which a turn is better;
+"""Iteration at which fits of nearly right poses begin; ratio of ranks below which a turn is kept;
 and number of turns that are fitted beyond the first iteration."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
