@@ -255,13 +255,9 @@ class MatchedCloud(TensorStruct):
             return values, self
         some = slice(*(bisect_left(self.filled, end) for end in (seen.start, seen.stop)))
         rows = cached_constant(tuple(k - seen.start for k in self.filled[some]), values.device)
-        axis = len(self.present.shape) - 2
-
-        def at_covered_moments(tensor: Tensor) -> Tensor:
-            return tensor[(slice(None),) * axis + (some,)]
-
+        covered = (slice(None),) * (len(self.present.shape) - 2) + (some,)
         scale, kept = self.scale, self.derived(scale=None)
-        return values[..., rows, :, :], kept.map(at_covered_moments).derived(
+        return values[..., rows, :, :], kept[covered].derived(
             scale=scale, filled=self.filled[some]
         )
 

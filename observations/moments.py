@@ -104,8 +104,7 @@ def with_points_hidden(
 ) -> Tracker:
     """Return the sensor with points in `bad` marked as not seen; None hides all points."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
-
-    def kept(tensor: Tensor) -> Tensor:
-        return tensor.masked_fill(bad if tensor.ndim == bad.ndim else bad[..., None], 0)
-
-    return sensor.derived(**sensor.by_frame(kept))
+    kept = sensor.by_frame(
+        lambda x: x.masked_fill(bad if x.ndim == bad.ndim else bad[..., None], 0)
+    )
+    return sensor.derived(**kept)
