@@ -1,6 +1,5 @@
 """Rendered films of a checkerboard before cameras whose lenses and poses are known."""
 
-import functools
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,7 @@ SIZE = (480, 360)
 FOCAL, DISTORTION = 430.0, np.array([-0.12, 0.05, 0.002, -0.001, 0.0])
 TURN = 0.6
 """Radians from one camera to the other about the vertical."""
-MOMENTS, STILL, RATE = 18, 6, 5
+MOMENTS, STILL, RATE = 26, 8, 5
 """Pictures in which the board is moved, those in which it lies on the floor, and their rate."""
 NOISE = 2.0
 """Grey levels, of 255."""
@@ -57,27 +56,17 @@ def board_poses() -> list[np.ndarray]:
     return out
 
 
-SIDE = 2
-"""Points of a pixel, across and down, that are looked through."""
-
-
-@functools.cache
-def directions(focal: float) -> np.ndarray:
-    """Rays of a camera through the points of all pixels, in its own axes."""
-    lens = camera(0.0, focal)
-    y, x = (np.mgrid[: SIZE[1] * SIDE, : SIZE[0] * SIDE] + 0.5) / SIDE - 0.5
-    pixels = np.stack((x, y), -1).reshape(-1, 1, 2)
-    flat = cv2.undistortPoints(pixels, lens.camera_matrix, lens.distortion)[:, 0]
-    return np.column_stack((flat, np.ones(len(flat))))
-
-
 def picture(
     seen_by: CameraArrays, T_world_board: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """What a camera sees of the board: rays through four points of every pixel."""
     assert seen_by.T_camera_world is not None
     T = seen_by.T_camera_world[0] @ T_world_board
-    rays = directions(seen_by.camera_matrix[0, 0]) @ T[:3, :3]
+    side = 2
+    y, x = (np.mgrid[: SIZE[1] * side, : SIZE[0] * side] + 0.5) / side - 0.5
+    pixels = np.stack((x, y), -1).reshape(-1, 1, 2)
+    flat = cv2.undistortPoints(pixels, seen_by.camera_matrix, seen_by.distortion)[:, 0]
+    rays = np.column_stack((flat, np.ones(len(flat)))) @ T[:3, :3]
     start = -T[:3, :3].T @ T[:3, 3]
     on = start + rays * (-start[2] / rays[:, 2])[:, None]
     column, row = np.floor(on[:, :2] / BOARD.square).astype(int).T
@@ -85,7 +74,7 @@ def picture(
     inside = (column >= -1) & (column < BOARD.columns) & (row >= -1) & (row < BOARD.rows)
     margin = (column >= -2) & (column <= BOARD.columns) & (row >= -2) & (row <= BOARD.rows)
     grey = np.where(inside, np.where(dark, 25.0, 230.0), np.where(margin, 235.0, 120.0))
-    image = grey.reshape(SIZE[1], SIDE, SIZE[0], SIDE).mean((1, 3))
+    image = grey.reshape(SIZE[1], side, SIZE[0], side).mean((1, 3))
     image += rng.normal(0, NOISE, image.shape)
     return np.repeat(image.round().clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
