@@ -84,9 +84,9 @@ class Evaluation(dict[str, float | None]):
             for key, (words, factor, unit) in _SHOWN.items()
             if (value := self.get(key)) is not None
         ]
+        computed = sum(value is not None for value in self.values())
         first = (
-            f"Evaluation: {len(self) - [*self.values()].count(None)} of {len(self)} metrics could "
-            "be told, among them errors of"
+            f"Evaluation: {computed} of {len(self)} metrics could be told, among them errors of"
         )
         return "\n".join([first, *map(one_line, lines)])
 

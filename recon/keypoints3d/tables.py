@@ -25,7 +25,7 @@ _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "poi
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
 _TIME = ("timestamp", "time", "t", "seconds")
 _TIME_UNIT = re.compile(r"[\s_(\[]+(?:s|secs?|seconds|[mun]s|msec|milliseconds)[)\]]?$")
-"""Such as that of time_ms or Time (s), which the steps of the times tell again."""
+"""Unit at the end of a column's name, as in time_ms; the size of the time steps tells it, too."""
 _MIN_KEYPOINTS = 2
 """Keypoints with all three coordinates from which on a table is one of keypoints in space."""
 _NAMES = ("names", "joint_names", "keypoint_names", "labels", "markers")
@@ -65,7 +65,7 @@ def read_table(path: Path) -> Points3D:
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or frame, "
             f"keypoint, x, y, z; got {', '.join(rows[0][:6]) if rows else 'nothing'}"
         )
-    first = [_TIME_UNIT.sub("", cell.lower()) for cell in rows[0]]
+    first = [cell.lower() for cell in rows[0]]
     if {"x", "y", "z"} <= set(first):
         return _read_long(rows[1:], first, name)
     if first[0] != "scorer":
@@ -86,8 +86,7 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
     needed = [k for axes in columns.values() for k in axes]
     values = numbers_of_columns(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
-    lower = [_TIME_UNIT.sub("", cell.lower()) for cell in header]
-    found, times = (_numbers_of_column(rows, lower, words, name) for words in (_FRAME, _TIME))
+    found, times = (_numbers_of_column(rows, header, words, name) for words in (_FRAME, _TIME))
     frames = np.zeros(0) if found is None or not np.isfinite(found).all() else found
     steps = np.diff(frames)
     if not (steps > 0).all():
@@ -144,11 +143,13 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
 def _numbers_of_column(
     rows: list[list[str]], header: list[str], words: Sequence[str], name: str
 ) -> np.ndarray | None:
-    """The numbers of the column named by the first of some words; None if there is none.
+    """Return the numbers of the column that the first of some words names, or None.
 
-    Times of day and dates become seconds.
+    The name may end in a unit of time, and its case does not matter. Times of day and dates become
+    seconds.
     """
-    found = next((header.index(word) for word in words if word in header), None)
+    names = [_TIME_UNIT.sub("", cell.lower()) for cell in header]
+    found = next((names.index(word) for word in words if word in names), None)
     if found is None:
         return None
     return numbers_of_columns(
