@@ -14,7 +14,7 @@ from recon.core.struct import TensorStruct
 if TYPE_CHECKING:
     from recon.core.camera import Camera
     from recon.core.fingers import Hands
-else:  # imported for type checkers only: few motions have a camera or fingers
+else:  # at run time Any replaces these, whose modules most motions need not import
     from typing import Any as Camera
     from typing import Any as Hands
 
