@@ -183,12 +183,13 @@ def _rotated(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"
 def at_tempo(motion: Motion, tempo: float) -> Motion:
     """Resample a motion so that, when read at 30 Hz, it runs at `tempo` times its speed.
 
-    Read slower, its frames are as many as fill its whole length.
+    At its own speed, its last frame is at most 1/30 s after that of the motion. Read slower, both
+    are at the same time, and the tempo is changed a little for it.
     """
-    if tempo == 1.0:
-        return motion.resample(REFERENCE_FPS)
     seconds = (motion.frames - 1) / motion.fps
     steps = math.ceil(seconds * REFERENCE_FPS / tempo - 1e-6)
+    if tempo == 1.0:
+        return motion.resample(REFERENCE_FPS, motion.start_time + steps / REFERENCE_FPS)
     return motion.resample(steps / seconds)
 
 

@@ -23,6 +23,7 @@ from priors.humor.networks import STATE
 from priors.humor.state import (
     Frame,
     State,
+    at_tempo,
     contact_probabilities,
     initial_features,
     state_after_step,
@@ -82,7 +83,7 @@ class HumorVariables(TensorStruct):
 
 def encoded_variables(humor: Any, motion: Motion) -> HumorVariables:
     """Encode a motion as its first state and a latent per step; see `Humor.encode`."""
-    motion = motion.resample(REFERENCE_FPS)
+    motion = at_tempo(motion, 1.0)
     states = states_of(motion, humor.body)
     first = states[:, 0]
     zero = torch.zeros_like(motion.rotations[:, 0, :, 0])

@@ -158,7 +158,7 @@ def calibrate(
     )  # fmt: skip
     with format_errors():
         views = [read_views([path], how).person(person) for path in paths]
-    files = _on_one_clock(views)
+    files = _padded_keypoints_by_camera(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
     poses, tall = _poses_above_ground(rig, files, people, BodyModel.load())
@@ -184,7 +184,7 @@ def calibrate(
 
 
 def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) -> CameraRig:
-    from recon.films.board import Board, cameras_of_board  # imported here: it loads decoders
+    from recon.films.board import Board, cameras_of_board  # imported only when a board was filmed
 
     known = Board.of(board, square)
     if others := [str(path) for path in paths if not is_film(path)]:
@@ -193,7 +193,7 @@ def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) 
     return CameraRig(cameras, dict.fromkeys(cameras, 0.0), error, None, said)
 
 
-def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
+def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFile]:
     """Return 2D keypoints by camera name, padded with unseen frames to span all the films.
 
     Raises:

@@ -130,7 +130,7 @@ def fit(
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if paths and _is_estimate(paths):
-        from recon import refine  # imported here: it imports this module
+        from recon import refine  # imported here, since it imports this module: a circle
 
         _refuse_unused_options(paths[0], how_read, start)
         return refine(
@@ -223,7 +223,7 @@ def complete(
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # imported here: only for files
+    from recon.formats.producers import is_estimate  # imported only when files are given
 
     return is_estimate(paths)
 

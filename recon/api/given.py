@@ -22,7 +22,7 @@ from recon.method.priors import PriorLike, is_prior
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # imported for type checkers only: most fits are given no shape
+else:  # at run time Any replaces ShapePrior, whose module most fits need not import
     from typing import Any as ShapePrior
 
 MotionLike = Motion | MotionResult | MotionFile | Mapping[str, Any] | Path | str
@@ -86,7 +86,7 @@ def motion_given(
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
-        from recon.formats.motions import load_motion  # imported here: only for files
+        from recon.formats.motions import load_motion  # imported only when files are given
 
         path = Path(given)
         file = load_motion(path, body.template.dtype)

@@ -109,25 +109,25 @@ def with_fingers(
 
 
 def _hands_at_frames(
-    motion: Motion, body: BodyModel, one: Any, fitted: Any, T: Float[Tensor, "4 4"]
+    motion: Motion, body: BodyModel, sensor: Any, fitted: Any, T: Float[Tensor, "4 4"]
 ) -> _SeenHands:
     """Return one sensor's hand keypoints, sampled at the times of the motion's frames.
 
     Points that are relative to the body are moved to where the body is.
     """
-    numbers = ((motion.times - fitted.start_time) * one.fps).round().long()
-    there = (numbers >= 0) & (numbers < one.moments)
-    points = one.fingers[0].double().cpu()
-    numbers = numbers.clamp(0, one.moments - 1)
+    numbers = ((motion.times - fitted.start_time) * sensor.fps).round().long()
+    there = (numbers >= 0) & (numbers < sensor.moments)
+    points = sensor.fingers[0].double().cpu()
+    numbers = numbers.clamp(0, sensor.moments - 1)
     rows = points[numbers]
     values, confidence, camera = rows[..., :-1], rows[..., -1] * there[:, None], None
-    if one.view is None:
+    if sensor.view is None:
         noise = _hand_noise(points, _NOISE_M)
         values = values @ T[:3, :3].mT + T[:3, 3]
-        if not one.placed:
-            own = one.positions[0, numbers].double() @ T[:3, :3].mT + T[:3, 3]
-            counts = one.visible[0, numbers].double()[..., None]
-            away = (one.predict(body.pose(motion)).double() - own) * counts
+        if not sensor.placed:
+            own = sensor.positions[0, numbers].double() @ T[:3, :3].mT + T[:3, 3]
+            counts = sensor.visible[0, numbers].double()[..., None]
+            away = (sensor.predict(body.pose(motion)).double() - own) * counts
             values = values + away.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(min=1)
     else:
         noise = _hand_noise(points, _NOISE_PX)

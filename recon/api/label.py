@@ -185,7 +185,7 @@ def _labelled_markers(
     kept = np.flatnonzero(outputs)
     columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
     labels += [seen.marker_names[k] for k in kept.tolist()]
-    # order columns by the places of their points in the file
+    # sort the columns by the median place of their points in the file
     seldom = np.where(columns >= 0, columns, np.nan)
     shown = (columns >= 0).any(0)
     order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]
@@ -210,7 +210,7 @@ def _labelled_markers(
     before = np.array(seen.marker_names)[points[held]]
     after = np.array(names)[naming.marker[numbers[held]]]
     other = after[(before != after) & np.isin(before, names)]
-    if len(other):  # a trial that has names, some of them wrong
+    if len(other):  # the recording had names of its own, some of them wrong
         which = [f"{name} ({count})" for name, count in Counter(other.tolist()).most_common()]
         said.append(f"{len(other)} points had another marker's name: {listed(which)}")
     recording = dataclasses.replace(

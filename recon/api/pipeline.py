@@ -52,7 +52,7 @@ def observations_to_fit(
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
         how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane, between=between)
-        # observations that are in memory need no reader
+        # observations in memory need neither reader
         if paths:
             from recon.reading.clip import load_clip as read
         else:
@@ -100,14 +100,14 @@ def fit_and_check(
     clip = CheckedClip(
         observations=tuple(observations), names=tuple(names), options=options, body=body
     )
-    if is_preview(options.method):  # imported here: fits need no preview
+    if is_preview(options.method):  # imported only when a preview is asked for
         from recon.api.preview import preview
 
         return preview(clip, start, checks)
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")
     if checks is None:
-        # imported here, as fits without checks do not need it
+        # imported only when the default checks are used
         from recon.diagnosis.checks import AFTER, BEFORE
 
         checks = (*BEFORE, *AFTER)
@@ -118,18 +118,18 @@ def fit_and_check(
     if options.completes:
         fit = _completed_recording(clip.observations, options, body, watch)
     else:
-        # data recorded faster than bodies move are averaged to a lower rate
+        # data with more frames per second than movements need are averaged to a lower rate
         fewer = [paced(one) for one in clip.observations]
         found = clip.start if start is None else None
         start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import motion_in_room  # for treadmills only
+            from recon.diagnosis.movement import motion_in_room  # imported only for treadmills
 
             start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
-        # the problem: residuals of each sensor over its noise; unknown ground and focal length
+        # the problem to solve: residuals over their noise; ground and focal length where unknown
         problem = clip_problem(seen, guess, options, body, watch)
         # minimise the stages of the prior, one after the other
         fit = problem.solved()
@@ -153,7 +153,7 @@ def _completed_recording(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
     """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
-    # imported here: only priors of gait cycles need it
+    # imported only when a recording is completed
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording
 

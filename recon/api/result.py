@@ -36,7 +36,7 @@ def describe(
         inputs: SHA-256 of everything that was read, by path (`recon.reading.inputs`).
         settings: of the fit, by name.
     """
-    from recon.formats.reports import versions  # imported here: needed when a result is written
+    from recon.formats.reports import versions  # imported only when a result is written
 
     return {
         "failed": result.failed[0],
@@ -299,12 +299,15 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach()
     first = clip.observations[0]
-    # a few scans per second are too few for a result, so it has the frame rate of the fit
+    # completed data may have few frames per second; then the result has the fit's frame rate
     rate = max(first.fps, motion.fps) if completes else first.fps
-    motion = motion.resample(rate if fps is None else fps)
+    seen = max(one.start_time + (one.moments - 1) / one.fps for one in clip.observations)
+    # motions at the 30 Hz of HuMoR's networks end up to a frame after the last observation
+    stop = motion.stop_time if completes else min(seen, motion.stop_time)
+    motion = motion.resample(rate if fps is None else fps, stop)
     T, ground = found.T_world_recording[0].double().clone(), 0.0 if found.grounded else None
     if found.grounded and clip.T_recording_camera is None and not found.ground_known:
-        # 3D recordings with z up keep their frame; only the height of their ground differs
+        # 3D data with z up keep their coordinates, in which the ground has the fitted height
         ground = -float(T[2, 3])
         motion = motion.replace(
             translation=motion.translation + ground * motion.translation.new_tensor(_UP)
@@ -318,13 +321,13 @@ def result_of(
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = None
     if completes and not found.stretches:
-        # imported here: only motions that were completed as one gait cycle have these numbers
+        # imported only when one gait cycle was completed
         from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt, cameras = None, ()
     if views_of(found.observations):
-        from recon.api.filming import filming_cameras  # imported here: few clips have images
+        from recon.api.filming import filming_cameras  # imported only when a clip has images
 
         cameras = filming_cameras(examined, clip, T, motion)
     if examined.belt is not None:
@@ -333,7 +336,7 @@ def result_of(
         belt = path_of_belt(motion, examined.belt)
         motion = motion_in_room(motion, examined.belt)
     if any(getattr(one, "fingers", None) is not None for one in clip.observations):
-        from recon.api.hands import with_fingers  # imported here: few clips show hands
+        from recon.api.hands import with_fingers  # imported only when a clip shows hands
 
         motion, said = with_fingers(motion, body, clip.observations, found.observations, T)
         examined = replace(examined, found=examined.found + said)

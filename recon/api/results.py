@@ -143,7 +143,7 @@ class MotionResult(ABC):
     @property
     def certainty(self) -> JointCertainty | None:
         """Median standard deviations of joints that were seen and of joints that were not."""
-        from recon.formats.joint_table import JointCertainty  # imported here: only reports need it
+        from recon.formats.joint_table import JointCertainty  # imported only for reports
 
         return JointCertainty.of(self.file)
 
@@ -201,7 +201,7 @@ class MotionResult(ABC):
         Raises:
             FileExistsError: when either is there and recon did not write it, unless `overwrite`.
         """
-        # imported here: needed when a result is written
+        # imported only when a result is written
         from recon.formats.motions import save_motion
         from recon.formats.writing import writing_file
 

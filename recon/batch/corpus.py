@@ -138,7 +138,7 @@ class _Corpus:
                 surveyed[content.clip.id] = found
         groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
-            # a clip may be surveyed and fail later
+            # clips whose survey failed, or that have ended since, are left out
             if clip.id in surveyed and clip.id not in self.ended:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}

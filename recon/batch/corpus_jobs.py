@@ -175,7 +175,7 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
         clear_leftovers(place)
     try:
         stage.mkdir()
-        motion = stage / "motion"  # no suffix, so that nobody reads it as a motion
+        motion = stage / "motion"  # no suffix: nobody shall take the unfinished file for a motion
         conversion.save(motion, body, contacts=bool(row["contacts"]))
         found = file_checksum(motion)
         noted = {**row, "checksum": found}

@@ -70,7 +70,7 @@ def batch(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # used by the decorator `writes`
+    del quiet  # the decorator `writes` has applied it
     from recon.cli import console
     from recon.cli.looks import check_plugins
 
@@ -165,7 +165,7 @@ def convert_all(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # used by the decorator `writes`
+    del quiet  # the decorator `writes` has applied it
     from recon.batch.corpus import convert_corpus
     from recon.cli import console
 

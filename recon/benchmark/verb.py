@@ -43,7 +43,7 @@ def bench(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # used by the decorator `writes`
+    del quiet  # the decorator `writes` has applied it
     from recon.cli import console
     from recon.cli.looks import allow_current_folder
 

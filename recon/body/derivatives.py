@@ -96,7 +96,7 @@ class CarriedPoints:
         )
         below = cached_constant(_BELOW, parts.device, parts.dtype)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
-        axes = orientations.mT[:, None]  # axes: time, 1, joints, axis, 3
+        axes = orientations.mT[:, None]  # shape: time, 1, joints, axes, 3
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
         return turned.flatten(2, 3).mT
 

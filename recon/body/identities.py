@@ -198,11 +198,11 @@ def _shape_with_measures(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     tall, heavy = exact.height, partial(body_weight, exact)
     metres, kilograms = wanted.height, wanted.weight
     if isinstance(metres, _FromAverage):
-        # a linear function of coefficients with std 1 has the length of its gradient as std
+        # height is linear in coefficients of std 1: its std is the length of its gradient
         values, slopes = _values_and_gradients(base, (tall,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, _FromAverage):
-        # a weight of heavy or slim people is relative to others of the same height
+        # heavy and slim are meant relative to other people of the same height
         goal = float(tall(base)) if metres is None else metres
         shape = nearest_shape(base, (tall,), (goal,), free)
         _, slopes = _values_and_gradients(shape, (tall, heavy), free)

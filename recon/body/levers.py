@@ -184,7 +184,7 @@ class ShapeLevers(TensorStruct):
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # bones' positions have no effect
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # zeros for the positions of joints
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
     def jacobian_by_shape(

@@ -62,7 +62,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled_body()
-        from recon.formats.smpl import load_smpl  # imported here: only for files
+        from recon.formats.smpl import load_smpl  # imported only when a file is given
 
         path = Path(path)
         arrays = load_smpl(path).of_body()

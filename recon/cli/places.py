@@ -41,7 +41,7 @@ def motion_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     Raises:
         ValueError: when it ends in .bvh, .glb and the like, which other programs could not open.
     """
-    # what exists is refused for that, with more to say
+    # an existing path is refused by a later check, whose message says more
     if not path.exists() and path.suffix.lower() in (
         ".bvh", ".c3d", ".csv", ".fbx", ".glb", ".html", ".mot", ".mp4", ".npy", ".trc", ".usd"
     ):  # fmt: skip

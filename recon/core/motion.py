@@ -14,7 +14,7 @@ from recon.core.struct import TensorStruct
 if TYPE_CHECKING:
     from recon.core.camera import Camera
     from recon.core.fingers import Hands
-else:  # imported for type checkers only: few motions have a camera or fingers
+else:  # at run time Any replaces these, whose modules most motions need not import
     from typing import Any as Camera
     from typing import Any as Hands
 
@@ -94,16 +94,19 @@ class Motion(TensorStruct):
         Raises:
             ValueError: when a moment lies outside the motion by more than a microsecond.
         """
-        start, last = self.start_time, self.frames - 1
-        place = (times.double() - start) * self.fps
-        slack = 1e-6 * self.fps
-        if len(times) > 0 and (place.min() < -slack or place.max() > last + slack):
+        start, stop, slack = self.start_time, self.stop_time, 1e-6
+        if len(times) > 0 and (times.min() < start - slack or times.max() > stop + slack):
             raise ReconError(
-                f"the motion lasts from {start:.4f} s to {start + last / self.fps:.4f} s, but was "
+                f"the motion lasts from {start:.4f} s to {stop:.4f} s, but was "
                 f"asked for {times.min():.4f} s to {times.max():.4f} s; ask for times within these"
             )
+        return self.continued_at(times, fps)
+
+    def continued_at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
+        """Interpolate as `at` does; after the last frame, velocities are those just before it."""
+        start, last, slack = self.start_time, self.frames - 1, 1e-6 * self.fps
+        place = (times.double() - start) * self.fps
         place = torch.where((place - place.round()).abs() < slack, place.round(), place)
-        place = place.clamp(0, last)
         before = place.floor().long().clamp(max=max(last - 1, 0))
         after = (before + 1).clamp(max=last)
         fraction = (place - before).to(self.translation)
@@ -131,13 +134,17 @@ class Motion(TensorStruct):
             rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),
         )
 
-    def resample(self, fps: float) -> "Motion":
-        """Interpolate the motion at another frame rate (Hz), from the same start time."""
-        if fps == self.fps:
+    def resample(self, fps: float, stop: float | None = None) -> "Motion":
+        """Interpolate the motion at another frame rate (Hz), from the same start time.
+
+        Its last frame is the last one until `stop`, a time (s), by default the motion's end.
+        """
+        stop = self.stop_time if stop is None else stop
+        count = int((stop - self.start_time) * fps + 1e-6) + 1
+        if fps == self.fps and count == self.frames:
             return self
-        count = int((self.frames - 1) / self.fps * fps + 1e-6) + 1
         steps = torch.arange(count, dtype=torch.float64, device=self.translation.device)
-        return self.at(self.start_time + steps / fps, fps)
+        return self.continued_at(self.start_time + steps / fps, fps)
 
 
 def carried_translation(

@@ -102,7 +102,7 @@ def nearest_alike(
         size = size.masked_fill(~open_.gather(1, pick)[..., None], 1e9)
         left = torch.cat((-2 * here, torch.ones_like(here[..., :1]), kinds[some]), -1)
         right = torch.cat((there, size, of_surface[pick]), -1)
-        best = (left @ right.mT).min(-1).indices  # several times as fast as argmin
+        best = (left @ right.mT).min(-1).indices  # min is several times as fast as argmin
         found[some] = pick.gather(1, best)
     return torch.where(present, found, 0)
 

@@ -15,7 +15,7 @@ from recon.core.struct import TensorStruct
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera, Ground
-else:  # imported for type checkers only: most scenes have no camera
+else:  # at run time Any replaces these, whose module most scenes need not import
     from typing import Any as Camera
     from typing import Any as Ground
 
@@ -68,7 +68,7 @@ class UnknownGround(TensorStruct):
     @property
     def plane(self) -> Ground:
         """The ground plane in the coordinates of the recording."""
-        from recon.core.camera import Ground  # imported here: in most clips the ground is known
+        from recon.core.camera import Ground  # imported only when the ground is unknown
 
         T = self.T_world_recording
         return Ground(T[..., 2, :3], -T[..., 2, 3])

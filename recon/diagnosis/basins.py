@@ -90,7 +90,7 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # labels the points unless the first guess did
+    cloud = cloud.labelled()  # no effect if the first guess labelled the points
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = 1.0

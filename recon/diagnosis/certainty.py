@@ -30,7 +30,7 @@ from recon.method.stages import ComparedHypotheses
 
 if TYPE_CHECKING:
     from recon.formats.joint_table import JointCertainty
-else:  # imported for type checkers only
+else:  # at run time Any replaces JointCertainty, whose module need not be imported
     from typing import Any as JointCertainty
 
 MOST = 360 / 12**0.5

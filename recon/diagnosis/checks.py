@@ -44,7 +44,7 @@ from recon.method.sensor import Sensor, views_of
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Check 2D keypoints for zeros, repeated frames, outliers, exchanged names, wrong cameras."""
-    from recon.diagnosis.keypoints import screen_views  # imported only for clips with images
+    from recon.diagnosis.keypoints import screen_views  # imported only when a clip has images
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
     names = [clip.names[k] for k in views]

@@ -119,7 +119,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
         return [replace(one, points=own) for one, own in zip(fits, given, strict=False)]
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     start = smoothed(NamedPoints.of(versions[best], body)).observation.start(body)
-    # imported here: only long recordings need it
+    # imported only when a recording is long
     from recon.fitting.long import fit_long
 
     motion = fit_long([_with_robust_kernel(versions[best])], method, body, start=start).motion

@@ -48,7 +48,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
     """Convert a motion with fingers to a skeleton recording, with tips of fingers, not wrists."""
-    from recon.body.hands import finger_offsets, pose_fingers  # imported here: rarely used
+    from recon.body.hands import finger_offsets, pose_fingers  # imported only for fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)
@@ -99,7 +99,7 @@ def write_bvh(
     become end sites. The root's OFFSET is zero: some programs add it to its position channels,
     others take these instead of it. `bones` chooses another program's names for body joints.
     """
-    # imported only here, since it loads slowly
+    # imported only when needed, since it loads slowly
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]

@@ -101,7 +101,7 @@ class Limb:
         """Make a leg or arm of the rig, with the person's contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
-        # with a hand on the ground, the forearm may be lower than the wrist: it belongs to the tip
+        # an arm's tip includes the forearm, which may be below the wrist of a hand on the ground
         end = chain[1 if names == ARM else 2]
         tip = tuple(k for k in rig.rest if end in tree.path(k))
         return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)

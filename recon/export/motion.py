@@ -156,7 +156,7 @@ def export_file(
             return write_glb(path, moved, own, names)
         from recon.api.given import GivenMotion
         from recon.api.retarget import ground_height
-        from recon.export.onto_character import write_character  # imported here: rarely used
+        from recon.export.onto_character import write_character  # imported only for characters
 
         level = ground_height(GivenMotion(file, str(motion)), None)
         made = write_character(path, moved, own, character, bones=bones, ground=level)

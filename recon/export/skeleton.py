@@ -56,7 +56,7 @@ class Skeleton:
         offsets = rest_offsets(rest)
         if motion.hands is None:
             return cls(JOINTS, PARENTS, offsets, motion.rotations, body.weights, binds)
-        from recon.body.hands import finger_offsets, finger_skin  # imported here: rarely used
+        from recon.body.hands import finger_offsets, finger_skin  # imported only for fingers
         from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
         count = len(HAND_JOINTS)

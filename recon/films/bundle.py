@@ -86,7 +86,7 @@ class SeenBackground:
         np.add.at(square, self.point[rows], A.swapaxes(1, 2) @ A)
         chosen = np.bincount(self.point[rows], minlength=len(self.X)) >= 2
         self.X[chosen] = np.linalg.eigh(square[chosen])[1][:, :, 0]
-        # choose the sign of a homogeneous point: in front of the first camera that sees it
+        # choose the sign that puts a homogeneous point in front of the first camera that sees it
         first = rows[np.unique(self.point[rows], return_index=True)[1]]
         first = first[chosen[self.point[first]]]
         self.X[self.point[first]] *= np.sign(self.in_cameras(first)[:, 2:])

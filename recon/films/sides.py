@@ -84,7 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
-    # exchanging left and right costs 2 where image and mirror image agree; else all cost 1
+    # sides as named cost 0, exchanged ones 2; all cost 1 if the mirror image names them otherwise
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )

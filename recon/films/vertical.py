@@ -193,7 +193,7 @@ def _explained_share(
     ahead = np.cross(ups, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     aside = np.cross(ups, ahead)
-    # (n x up) . ahead = n . aside, and (n x up) . aside = -n . ahead
+    # of the line n × up of a plane: (n × up)·ahead = n·aside, (n × up)·aside = -n·ahead
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]

@@ -134,7 +134,7 @@ class ClipProblem:
         """Fit in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            from recon.fitting.first_motions import scaled_onto_ground  # used only for one view
+            from recon.fitting.first_motions import scaled_onto_ground  # imported only for images
 
             job, free = self.after_pose_prior()
             start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
@@ -152,7 +152,7 @@ class ClipProblem:
         first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
         if not self.one_view or self.options.noise_of(0) is not None:
             return self, first.motion
-        from recon.fitting.first_motions import repetition_in_view  # used only for one view
+        from recon.fitting.first_motions import repetition_in_view  # imported only for images
 
         (view,) = views_of(self.observations)
         found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
@@ -163,7 +163,7 @@ class ClipProblem:
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
-        from recon.fitting.first_motions import scaled_to_feet  # used only for moving cameras
+        from recon.fitting.first_motions import scaled_to_feet  # imported only for moving cameras
 
         _, motion = self.after_pose_prior()
         if (found := scaled_to_feet(cast(Any, views[0]), motion, self.body)) is None:
@@ -173,7 +173,7 @@ class ClipProblem:
 
     def _with_ground(self) -> Reconstruction:
         """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
-        # imported here: in most clips the ground is known
+        # imported only when the ground is unknown
         from recon.fitting.ground import ground_by_feet, ground_by_posture, point_below_pelvis
 
         job, start, level = self, self.guess.motion, frame_is_level(self.observations)
@@ -277,7 +277,7 @@ class ClipProblem:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
             if self.one_view:
-                from recon.fitting.still_feet import with_still_feet  # used only for one view
+                from recon.fitting.still_feet import with_still_feet  # imported only for images
 
                 (one,) = self.noises
                 # data terms after the first only tie windows to each other
@@ -301,7 +301,7 @@ class ClipProblem:
         """
         run = solve
         if self.long:
-            # imported here: most recordings are short
+            # imported only when a recording is long
             from recon.fitting.long import fit_long
 
             run = fit_long
@@ -329,7 +329,7 @@ class ClipProblem:
 
     def first_seconds(self) -> "ClipProblem":
         """Cut out the first seconds of the clip, as long as a window of a long recording."""
-        from recon.fitting.long import WINDOW  # imported here: only long recordings need it
+        from recon.fitting.long import WINDOW  # imported only when a recording is long
 
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # both ends of the window are counted

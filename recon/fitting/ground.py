@@ -87,7 +87,7 @@ def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, 
     Raises:
         ValueError: when the normal is zero.
     """
-    from recon.core.camera import Ground, world_from_camera  # needed only if a plane is given
+    from recon.core.camera import Ground, world_from_camera  # imported only when a plane is given
 
     plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()

@@ -15,7 +15,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # not imported when run: only fits of people whose shape is known need it
+else:  # at run time Any replaces ShapePrior, whose module most fits need not import
     from typing import Any as ShapePrior
 
 Method = str | Callable[..., Any]

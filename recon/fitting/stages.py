@@ -33,7 +33,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     prior = loaded_prior(options.prior, options.weights, body)
     physics: tuple[Term, ...] = ()
     if options.physics != 0:
-        # imported here: few fits have energies of physics
+        # imported only when a fit has energies of physics
         from recon.physics.energies import physics_terms
 
         physics = physics_terms(noise, options.physics)

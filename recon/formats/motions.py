@@ -136,7 +136,7 @@ def motion_from(
         start_time=_number_or_default(path, numeric, "start_time", 0.0, limits.TIME),
     )
     if "pose_hand" in numeric or poses.shape[1] in _FINGERS:
-        from recon.core.fingers import hands_of_arrays  # imported here: rarely used
+        from recon.core.fingers import hands_of_arrays  # imported only for fingers
 
         motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
     gender = _text(arrays, "gender", "neutral").lower()
@@ -164,7 +164,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     Raises:
         ValueError: when it has a batch axis, no frames, or NaN or infinity in it.
     """
-    from recon.formats.replacing import save_arrays  # imported here: only needed for writing
+    from recon.formats.replacing import save_arrays  # imported only when a motion is written
 
     path = Path(path)
     file = MotionFile(file) if isinstance(file, Motion) else file
@@ -234,7 +234,7 @@ def _cameras(
     Raises:
         ValueError: when arrays are missing, of the wrong shape, or impossible for a camera.
     """
-    from recon.core.camera import Camera, check_camera, check_pose  # imported here: rarely used
+    from recon.core.camera import Camera, check_camera, check_pose  # imported only for cameras
     from recon.core.motion import FilmingCamera
 
     names = np.atleast_1d(arrays["camera_names"]).astype(str).tolist()
@@ -311,7 +311,7 @@ def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
-        from recon.core.camera import check_pose  # imported here: rarely used
+        from recon.core.camera import check_pose  # imported only for cameras
 
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:

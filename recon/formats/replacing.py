@@ -71,7 +71,7 @@ def clear_leftovers(path: Path) -> None:
 
 def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write numpy arrays as an .npz file; readers see the old file or the whole new one."""
-    import numpy as np  # not loaded by commands that fail early
+    import numpy as np  # imported only when arrays are written, so that other commands start fast
 
     clear_leftovers(path)
     with replacing(path) as beside, beside.open("wb") as file:

@@ -54,7 +54,7 @@ def check_counts(path: Path) -> int:
             CLOUD.check(count, path, f"element {line[1][:20]}")
             vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # least bytes of a value: of a list's length alone, or two characters in text
+            # least bytes of a value: two characters of text; of a binary list, those of its length
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")

@@ -44,7 +44,7 @@ def writing(
         stages = [stack.enter_context(_staged_output(output)) for output in outputs]
         with _errors_name_output(stages):
             yield tuple(stage.path for stage in stages)
-        # checked again, since hours may have passed
+        # checked again, since hours may have passed since the first check
         former = [own_files(output, overwrite=overwrite) for output in outputs]
         for stage, own in zip(stages, former, strict=True):
             stage.add_report(report, own)

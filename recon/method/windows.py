@@ -99,12 +99,15 @@ def joined_windows(motions: Sequence[Motion]) -> Motion:
 
 
 def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
-    """Resample a motion to frames counted from the time `origin`; return the first's number."""
+    """Resample a motion to frames counted from the time `origin`; return the first's number.
+
+    The last frame is the first one at or after the motion's end.
+    """
     place = (motion.start_time - origin) * motion.fps
     first = math.ceil(place - _SAME_MOMENT)
-    last = math.floor(place + motion.frames - 1 + _SAME_MOMENT)
+    last = math.ceil(place + motion.frames - 1 - _SAME_MOMENT)
     numbers = torch.arange(first, last + 1, dtype=torch.float64, device=motion.translation.device)
-    return first, motion.at(origin + numbers / motion.fps, motion.fps)
+    return first, motion.continued_at(origin + numbers / motion.fps, motion.fps)
 
 
 def _crossfaded(before: Motion, after: Motion) -> Motion:

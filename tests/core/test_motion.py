@@ -32,6 +32,19 @@ def test_resampling_keeps_the_clock(fps):
     assert torch.allclose(there.translation[:, 0], there.times - 5, atol=1e-9)
 
 
+def test_a_motion_resampled_past_its_end_keeps_its_velocities():
+    there = wave().resample(20.0, stop=6.1)
+    assert there.stop_time == pytest.approx(6.1)
+    assert torch.allclose(there.translation[:, 0], there.times - 5, atol=1e-9)
+    assert torch.allclose(so3.log(there.rotations[:, 4])[:, 0], there.times - 5, atol=1e-9)
+
+
+def test_a_motion_resampled_to_a_time_before_its_end_is_cut():
+    there = wave().resample(30.0, stop=5.5)
+    assert there.frames == 16
+    assert torch.equal(there.translation, wave().translation[:16])
+
+
 def test_moments_outside_are_refused():
     with pytest.raises(ValueError, match="lasts from 5"):
         wave().at(torch.tensor([4.9], dtype=torch.float64), 30.0)

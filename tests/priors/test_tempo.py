@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -66,6 +67,18 @@ def test_a_clip_read_slower_lasts_as_long_as_before() -> None:
     assert slower.fps == pytest.approx(clip.fps / 0.7, rel=0.05)
     assert at_tempo(slower, 0.7).frames == slower.frames
     assert at_tempo(slower, 1.0).frames == clip.frames
+
+
+@pytest.mark.parametrize(("frames", "fps"), [(31, 29.97), (20, 25.0), (80, 100.0), (12, 10.0)])
+def test_networks_read_a_clip_to_its_end(frames: int, fps: float) -> None:
+    """Clips whose rate does not divide 30 Hz lost their last frames."""
+    clip = swinging(frames, 3, fps)[None]
+    read = at_tempo(clip, 1.0)
+    assert read.fps == 30.0
+    assert 0 <= read.stop_time - clip.stop_time + 1e-9 < 1 / 30
+    inside = torch.from_numpy(np.arange(read.frames - 1) / 30.0)
+    before, truth = read.window(0, read.frames - 1), clip.at(inside, 30.0)
+    torch.testing.assert_close(before.rotations, truth.rotations)
 
 
 def test_networks_see_frames_and_not_the_clock(body: BodyModel) -> None:
