@@ -190,12 +190,12 @@ def fit_all(
     shapes = shapes_of_subjects(clips, settings, processes, log, common, run)
     with open_log(log) as lines:
 
-        def job(clip: BatchClip) -> tuple[FitJob]:
+        def arguments_of_fit(clip: BatchClip) -> tuple[FitJob]:
             known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
             target = out / f"{clip.name}.npz"
             return (FitJob(clip, target, settings, common, known, overwrite, shape),)
 
-        for (done,), result in run(work, map(job, large_first(clips)), processes):
+        for (done,), result in run(work, map(arguments_of_fit, large_first(clips)), processes):
             record = result
             if isinstance(result, Failure):
                 record = {"id": done.clip.name, "output": str(done.target), **result.record}
