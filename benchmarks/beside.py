@@ -139,7 +139,7 @@ class Runner:
         seconds: list[float | None] = [None, None]
         refused = ["", ""]
         self._turn += 1
-        # the first call of a kind loads modules and weights
+        # a group's first call loads modules and weights, so it is repeated: the second is timed
         for _ in range(1 if case.group in self._warm else 2):
             for own in (0, 1) if self._turn % 2 else (1, 0):
                 said = self._workers[own].ask({**asked, "out": str(results[own])})

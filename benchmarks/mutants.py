@@ -72,7 +72,7 @@ def main() -> None:
     rows = [_judge(path, options.each, options.seed) for path in options.only]
     total = sum(row["mutants"] for row in rows)
     killed = sum(row["killed"] for row in rows)
-    # only now, as it imports the modules that were tested
+    # imported here: it imports modules under test, which each fork must import in changed form
     from benchmarks.protocol import Table, tell
 
     cells = [[f"`{row['module']}`", row["mutants"], str(row["killed"])] for row in rows]
@@ -123,7 +123,7 @@ def _tested(path: str, source: str | None, tests: tuple[str, ...], limit: float)
     os.chdir(_ROOT)
     if source is not None:
         _exchange(_ROOT / path, source)
-    # libraries that are plugins of pytest, too, were imported before it could rewrite them
+    # pytest warns that it cannot rewrite plugins that are imported already: this is expected
     quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-p", "no:cacheprovider"]
     return int(pytest.main(["-x", "-q", *quiet, "-m", "not slow", *tests]))
 

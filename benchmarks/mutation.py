@@ -77,7 +77,7 @@ def _changeable(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
             inside = [child.value]
         elif isinstance(child, ast.FunctionDef):
             inside = [*child.args.defaults, *child.args.kw_defaults, *child.body]
-        elif isinstance(child, ast.ClassDef):  # without its decorators
+        elif isinstance(child, ast.ClassDef):  # decorators of classes are left as they are
             inside = child.body
         if inside is not None:
             yield from _changeable(ast.Module([one for one in inside if one is not None], []))

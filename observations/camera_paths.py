@@ -52,7 +52,7 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
-    back = view.camera.derived(T_camera_world=T).T_world_camera  # T_world_camera inverts the poses
+    back = view.camera.derived(T_camera_world=T).T_world_camera  # this property inverts T
     return view.derived(camera=view.camera.derived(T_camera_world=back))
 
 
@@ -146,7 +146,7 @@ def triangulate(
         vector = vector + (across @ origin[..., None])[..., 0]
         seen = (view.confidence > 0).to(ray)
         spread, count = spread + seen[..., None] * ray, count + seen
-    # n rays at small angles a to their mean have a sum of length n (1 - a²/2)
+    # the sum of n unit vectors at small angles a (radians) to their mean is n (1 - a²/2) long
     narrow = (spread.norm(dim=-1) / count.clamp(min=1)).clamp(max=1)
     exists = (count >= 2) & (2 * (1 - narrow) > (_LEAST_ANGLE / 2) ** 2)
     solvable = torch.where(exists[..., None, None], matrix, torch.eye(3).to(matrix)).double()

@@ -26,7 +26,7 @@ from recon.core.limits import FRAME_RATE, POINT_DEVIATION, POSITION, TIME
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
-else:  # imported for type checkers only: 3D points need no code of cameras
+else:  # only annotations name Camera: at run time its module need not be loaded
     from typing import Any as Camera
 
 FARTHEST = 5.0

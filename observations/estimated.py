@@ -59,7 +59,7 @@ class ErrorCovariance:
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
         slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])
-        # sums over frames are scaled to 30 Hz, so that jitter counts the same at any rate
+        # jitter is independent in every frame: scaled so that a second tells as much at any rate
         jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
         variance = jitter.clamp(max=_UNSEEN).square()
         return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)

@@ -45,7 +45,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if named:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
-        # points seen by several cameras are triangulated: placed where their rays meet best
+        # imported here: only points seen by several cameras are triangulated
         from observations.camera_paths import can_triangulate, on_first_clock, views_start
 
         alike = on_first_clock(views)

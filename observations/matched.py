@@ -298,7 +298,7 @@ class MatchedCloud(TensorStruct):
         turned = _jacobian_by_rotations(foot, along, discs.weights, orientations, joints)
         rows = torch.cat((along, turned, shaped), -2)
         full = (rows * (2 * weight * slope)[:, None]) @ rows.mT
-        # turn the Hessian from rotations of joints to the variables of the prior
+        # chain rule: `turn` is the Jacobian of joint rotations by the prior's pose variables
         turn, bent = model.turn[frame], slice(6, FRAME)
         full[:, bent] = turn.mT @ full[:, bent]
         full[:, :, bent] = full[:, :, bent] @ turn

@@ -25,7 +25,7 @@ from recon.method.sensor import Sensor
 
 if TYPE_CHECKING:
     from observations.correspondences import BodyPoints
-else:  # imported for type checkers only: joints and markers need no table of keypoints
+else:  # only annotations name BodyPoints: at run time its module need not be loaded
     from typing import Any as BodyPoints
 
 OFFSET_UNIT = 0.05
@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a tensor: torch divides plain numbers by reciprocals, which rounds otherwise
+        # a tensor, as torch divides a number by a tensor with reciprocals, which rounds otherwise
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 

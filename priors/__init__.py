@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from priors.humor.shooting import Shooting as Shooting
     from priors.pose.prior import PosePrior as PosePrior
 
-from recon.core.plugins import lazy_names  # imported after the block for type checkers
+from recon.core.plugins import lazy_names  # after the check: other packages lack it
 
 _HOMES = {
     "Collocation": "priors.humor.collocation",

@@ -192,7 +192,7 @@ def main() -> None:
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     torch.set_num_threads(1)
-    with threadpool_limits(limits=1):  # sums in a fixed order, whatever the machine's cores
+    with threadpool_limits(limits=1):  # one thread sums in the same order on every machine
         write_npz(options.out, build(options.adults, options.seed))
     log.info("wrote %s", options.out)
 

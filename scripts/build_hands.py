@@ -179,8 +179,8 @@ def straightening(fingers: np.ndarray) -> np.ndarray:
     ahead[0] = level * np.cos(azimuth), np.sin(elevation), level * np.sin(azimuth)
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     bones /= np.linalg.norm(bones, axis=-1, keepdims=True)
+    # the shortest rotation straightens the thumb's hinges in the plane in which they bend
     turns = [shortest(bone, ahead[k]) for k in range(FINGERS) for bone in bones[k]]
-    # the thumb's outer joints are hinges: they straighten in the plane that they bend in
     return np.stack(turns)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 ASSETS = Path(__file__).parents[1] / "recon" / "assets"
 FLIP = np.array([-1.0, 1.0, 1.0])
-OUT, IN = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # of the left side
+OUT, IN = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # lateral, medial (left side)
 UP, DOWN = np.array([0.0, 1.0, 0.0]), np.array([0.0, -1.0, 0.0])
 FRONT, BACK = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 

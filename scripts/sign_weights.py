@@ -35,7 +35,7 @@ def sign(path: Path) -> str:
     old = load_checkpoint(path, about.get("kind"))
     if "sha256" in about:
         return "has the right checksum"
-    # copies: the file is replaced while its tensors are mapped
+    # cloned, since the file is replaced while its tensors are mapped into memory
     tensors = {name: tensor.clone() for name, tensor in old.tensors.items()}
     save_checkpoint(path, about["kind"], tensors, old.settings)
     new = load_checkpoint(path, about["kind"])

@@ -88,7 +88,7 @@ def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[f
         vertex = torch.tensor([landmark(place.landmarks[0])])
         shares = body.weights[vertex[0]]
         bone = int(shares.argmax())
-        # markers that the skin carries with two bones are no points of either
+        # leave out markers on skin that moves with two bones: no bone alone tells where they are
         if float(shares[bone]) < 0.9:
             continue
         for joint, segment in segments.items():

@@ -107,7 +107,7 @@ def _furnish(wall: np.ndarray, rng: np.random.Generator) -> None:
     for _ in range(rng.integers(3, 7)):
         w, h = (rng.uniform(0.5, 1.6) * PIXELS_M, rng.uniform(0.4, 1.1) * PIXELS_M)
         x, y = rng.uniform(0, width - w), rng.uniform(0.08, 0.35) * height
-        if rng.random() < 0.5:  # to the floor
+        if rng.random() < 0.5:  # a door or cupboard, which reaches down to the floor
             y, h = 0.25 * height, height
         first, last = (int(x), int(y)), (int(x + w), min(int(y + h), height))
         cv2.rectangle(wall, first, last, colour(rng, 0.5, (0.1, 0.95)).tolist(), -1)

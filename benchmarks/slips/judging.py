@@ -96,7 +96,7 @@ def motion_error(
     if measure == "speed":
         ratio = _speed(own, motion.fps) / _speed(true, recording.truth.fps)
         return max(ratio, 1 / ratio)
-    # at the truth's times; beyond its ends the motion stands still
+    # poses at the truth's times; outside its own time the motion keeps its first or last pose
     times = recording.truth.times.clamp(motion.start_time, motion.stop_time)
     own = recording.body.pose(motion.at(times, recording.truth.fps)).joints
     if measure == "posture":

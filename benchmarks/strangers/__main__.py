@@ -75,7 +75,7 @@ def measured(
         if windows is not None:
             rows += [asdict(row) for row in fits(windows, protocols, priors, body)]
     found = {"people": fold.people, "excluded": fold.splits.excluded, "rows": rows}
-    # as JSON gives it back, so that what is shown now is what is shown later
+    # returned as read back from JSON, so that new and stored results have the same types
     text = json.dumps({"identity": identity, "found": found}, indent=1)
     write_text(kept, text)
     return json.loads(text)["found"]

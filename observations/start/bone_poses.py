@@ -34,7 +34,7 @@ def gradient_by_turns(
     """Gradient of an energy of bone poses by translation and by joint rotations (world axes)."""
     below = BELOW.to(bones)
     moment = force @ bones.mT
-    # M - Mᵀ for M = Σ w r xᵀ, as a vector, is Σ w x × r
+    # with M = Σ w r xᵀ over points x and residuals r, the entries of M - Mᵀ are those of Σ w x × r
     twist = torch.stack([
         moment[..., (axis + 2) % 3, (axis + 1) % 3] - moment[..., (axis + 1) % 3, (axis + 2) % 3]
         for axis in range(3)
@@ -60,7 +60,7 @@ def hessian_by_turns(
     first, mass = below @ first, mass @ below.mT
     joints = bones[..., 3]
     lever = first - mass[..., None] * joints
-    # second moments of the points below joint b: about b, then about both joints, a and b
+    # own[b] is Σ w x (x - p_b)ᵀ over the points x that hang from joint b; p_b is its place
     own = second - first[..., None] * joints[..., None, :]
     upper, lower = _HANGING
     moments = own[:, lower] - joints[:, upper, :, None] * lever[:, lower, None, :]
@@ -332,7 +332,7 @@ def _by_coordinates(
     mass, across, between = hessian_by_turns(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
-    # Jacobian of all rotations by steps of the root and of z; other joints turn by v = B z
+    # Jacobian of all rotations by the root's and by pose coordinates z, which turn joints by B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)
     whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)

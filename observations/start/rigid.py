@@ -48,7 +48,7 @@ def rigid_start(
     turn = so3.nearest(spread.double()).to(positions)
     placed = used.sum(-1) >= 3
     pelvis = body.joint_template[0].to(positions)
-    # world = R (rest - pelvis) + pelvis + translation
+    # a point p of the body at rest moves to R (p - pelvis) + pelvis + translation
     turned = (turn @ (rest_centre - pelvis)[..., None])[..., 0]
     translation = centre - turned - pelvis
     nearest = nearest_placed(placed)

@@ -142,7 +142,7 @@ class Collocation(Prior[PoseVariables]):
         scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
         steps = (clip.motion.valid.sum() - 1).clamp(min=1)
-        # times the geometric mean, over steps, of the robust kernel's derivative dρ/dx
+        # weight × dρ/dx, the robust kernel's slope exp(-ρ/scale) in its geometric mean over steps
         weight = term.weight * (-nats / (scale * steps)).exp()
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
         bundled_curvature(nats.device).add(clip.motion, clip.part, error, latents)
@@ -196,7 +196,7 @@ class Collocation(Prior[PoseVariables]):
         optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
         images are fitted. So do clouds, in which limbs may be hidden without being marked so.
         """
-        del noise, body, method  # not needed: the constructor got the weights
+        del noise, body, method  # unused: weights for this noise came with the constructor
         w = self.weights
         surface = all(getattr(term.energy, "sees", None) == "surface" for term in data)
         latents = w.latents * (_LATENTS_OF_SURFACE if surface else 1.0)
@@ -233,7 +233,7 @@ class Collocation(Prior[PoseVariables]):
         limbs = replace(limbs, proposals=LookedLimbs(network, unseen))
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
-        # imported here: only fits with limbs that the data never show need it
+        # imported here: only fits with limbs that are never seen need it
         from priors.humor.likely import LikelyStates, time_factor
         from recon.physics.support import SupportEnergy
 

@@ -332,7 +332,7 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # the pelvis is not drawn: its place is the rest place, its velocity that of the translation
+    # the pelvis is not drawn: it is placed as at rest, and has the translation's velocity
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

@@ -258,8 +258,7 @@ class _Unroll(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients by each step's start, raw output and rotations; the loop goes back in time and
-        # adds to the gradient of every step what the following step contributes to it
+        # gradients by each step's start, raw output and rotations; each adds to the step before
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

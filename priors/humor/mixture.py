@@ -63,7 +63,7 @@ class Mixture(TensorStruct):
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
-        from recon.formats.opening import load_arrays  # for the authors' files only
+        from recon.formats.opening import load_arrays  # imported here: only authors' files need it
 
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")
@@ -100,6 +100,6 @@ class Mixture(TensorStruct):
         which = torch.multinomial(chance, count, replacement=True, generator=random)
         white = torch.randn(count, len(self.features), generator=random).to(self.means)
         which = which.to(self.means.device)
-        lower = self.whitening[which].mT  # Uᵀ (x - m) = y is solved for x
+        lower = self.whitening[which].mT  # solve white = Uᵀ (x - mean) for x - mean
         away = torch.linalg.solve_triangular(lower, white[..., None], upper=False)
         return self.means[which] + temperature * away[..., 0]

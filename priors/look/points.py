@@ -79,7 +79,7 @@ class WalkingFrames(TensorStruct):
         near = (1 + apart.square()) ** -2
         angle = torch.atan2(cross @ near, dot @ near)
         turn = so3.about_z(angle)
-        # the pelvis if the body stood: the mean of the points less that of standing ones
+        # where an upright body's pelvis is: the points' mean less the mean that they have standing
         middle = mean - (turn[..., :2, :2] @ mean_standing[..., None])[..., 0]
         share = total[..., 0] @ near
         origin = near @ (total * middle) / share.clamp(min=1e-6)[..., None]

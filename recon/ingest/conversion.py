@@ -216,7 +216,7 @@ def _ground_in_given_frame(
     """Return the ground z = 0 of a moved motion as a plane n·x = d of the motion as given."""
     here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
     turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
-    normal = turn[2]  # the vector that the rotation maps to z
+    normal = turn[2]  # row 2 of a rotation is the vector that it maps to z
     height = normal @ here.joints[0, 0] - there.joints[0, 0, 2]
     nx, ny, nz = normal.tolist()
     return nx, ny, nz, float(height)

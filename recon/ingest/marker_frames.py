@@ -193,7 +193,7 @@ def with_doubtful_frames_solved(
     for _ in range(_ROUNDS):
         jumps, far = unsupported(motion), residuals(motion)
         suspects = _doubtful_frames(jumps, far, motion.fps)
-        # stretches in which a fit before improved nothing are not fitted again
+        # stretches that an earlier round fitted without improvement are not fitted again
         suspects = _stretches_where(suspects, partial(_not_all_failed, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break

@@ -71,7 +71,7 @@ class Naming:
             return
         unknown, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
-        if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
+        if unknown > _SURE:  # first learn shape and offsets, from frames near the one in `found`
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow_and_turn(found, at, near)
             self._name_tracks()
@@ -82,7 +82,7 @@ class Naming:
         self._follow_and_turn(found, at, every)
         self._name_tracks()
         if unknown > _SURE:
-            for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
+            for _ in range(_ROUNDS):  # names and the person's own marker offsets tell each other
                 former = self.marker.copy()
                 body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
@@ -100,8 +100,7 @@ class Naming:
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         at = [int(part[counts[part].argmax()]) for part in parts]
-        # search two frames together, which takes hardly longer than one: the first, since people
-        # mostly stand at the beginning, and a middle one, from which both directions are followed
+        # a first frame, in which people mostly stand, and a middle one, together to save time
         starts = [at.pop(0), *at[len(at) // 2 :][:1]]
         others = [k for k in at if k not in starts]
         found: list[tuple[FoundBody, int]] = []

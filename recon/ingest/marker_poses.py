@@ -330,5 +330,5 @@ def _poses_of_rows(state: Poses, rows: Tensor) -> Poses:
 
 
 def _values_of_rows(values: Tensor, rows: Tensor) -> Tensor:
-    # one value for all frames is not indexed
+    # a single row holds for all frames and needs no index
     return values if len(values) in (1, len(rows)) else values[rows]

@@ -163,7 +163,7 @@ def minimise_frames(
         size = curvatures.size(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # rejected frames keep their state, which changes the ties of their neighbours
+            # rejected frames keep their state, which changes the energies of ties to neighbours
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tie_energies(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()
@@ -293,7 +293,7 @@ def solve_tied(
     x = _solved_blocks(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
-    # x solves the system without ties: the residual of the whole one is the ties' product with x
+    # x solves A x = b without the ties T: the residual of the whole system, b - (A - T) x, is T x
     residual = ties.times_vector(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)

@@ -80,7 +80,7 @@ def read_table(path: Path) -> Points3D:
 def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     columns = _xyz_columns(header)
     if rows and {parse_unit(cell) for cell in rows[0] if cell} <= METRES.keys():
-        rows = rows[1:]  # a second header row, with units
+        rows = rows[1:]  # this row is a second header, with units
     refuse_repeated_columns([cell for cell in header if _COORDINATE.match(cell)], name)
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)

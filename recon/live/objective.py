@@ -227,7 +227,7 @@ class Objective:
                 gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
         gradient_alone = gradient
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
-        # accelerations p_(t+1) - 2 p_t + p_(t-1) of which at least one frame may move
+        # rows of differences p_(t+1) - 2 p_t + p_(t-1) that contain a frame that may move
         second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
         column = _by_variables(self.joints.jacobian_by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))

@@ -166,7 +166,7 @@ def _deviations_of_window(
     found = factor.inverse()
     marginals = _marginal_deviations(found, near.seen(), shapes)
     if measure is not None:
-        # the measured quantity depends on the rotations only
+        # what is measured depends on rotations only: slopes by all other variables are zero
         slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))
         variance = _variances(found, slopes)
         marginals = replace(marginals, measures=variance.sqrt())

@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 
 if TYPE_CHECKING:
     from recon.method.sensor import Sensor
-else:  # imported for type checkers only: sensors need nothing of this module
+else:  # only annotations name Sensor: at run time its module need not be loaded
     from typing import Any as Sensor
 
 

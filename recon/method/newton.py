@@ -121,7 +121,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
     if carried.own_joints is not None and found.isotropic and on_frames:
-        # sum over points by joint: the Jacobian of joints is then needed once for all terms
+        # curvatures of points are summed by joint, so that all terms share the joints' Jacobian
         isotropic = curvature[..., 0, 0]
         joints = cached_constant(carried.own_joints, places.device)
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
@@ -260,7 +260,7 @@ class StageProblem(Problem[Unknowns[Any]]):
         moved: dict[str, Tensor] = {}
         for path, shape in self.scene_parts:
             flat = steps[:, start : start + shape.numel()]
-            moved[path] = flat.reshape(len(steps), *shape)  # the ground's height is a scalar
+            moved[path] = flat.reshape(len(steps), *shape)  # () for the ground's height
             start += shape.numel()
         if moved:
             paths = iter(scene.tensors())

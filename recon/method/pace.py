@@ -66,7 +66,7 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
         """Gather the frames near each output time, (clips, moments, near, points, ...)."""
         return values.index_select(axis, frame.flatten()).unflatten(axis, frame.shape)
 
-    # energies contain squared weights
+    # energies contain squared weights, so means are taken with squared weights, too
     weights, values = (
         in_neighbourhoods(sensor.weights.to(sensor.values).square()),
         in_neighbourhoods(sensor.values),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
     from recon.core.camera import Camera
-else:  # imported for type checkers only
+else:  # only annotations name these classes: at run time their modules need not be loaded
     from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
@@ -307,7 +307,7 @@ class Sensor(TensorStruct):
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
         """Return the data, with a camera if any, in another frame of coordinates (metres)."""
-        if self.sees is None and type(self).predict is Sensor.predict:  # it overrides `residuals`
+        if self.sees is None and type(self).predict is Sensor.predict:  # defines `residuals` only
             raise ObservationError(
                 f"{type(self).__name__} cannot be given in another frame: write a method "
                 "transformed(T_new_old), or fit it with a ground that is known"

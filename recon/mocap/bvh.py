@@ -91,7 +91,7 @@ def parse_bvh(
 ) -> SkeletonRecording:
     """Parse the text of a BVH file, as `read_bvh` does."""
     text = with_decimal_points(text, _DECIMAL_COMMA)
-    # the lines of a joint take some hundred characters
+    # a joint's lines take some hundred characters, so MOTION must come early
     if (middle := _MOTION.search(text, 0, int(1000 * JOINTS.high))) is None:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
     joints = parse_hierarchy(text[: middle.start()], name)

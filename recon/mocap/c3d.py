@@ -90,7 +90,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         else:
             raw = _read_markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
-        # the file states an offset beyond its end
+        # an offset that the file states points beyond its end
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     point = groups.get("POINT", {})
     hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
@@ -216,7 +216,7 @@ def read_header(data: bytes, path: Path) -> Header:
         raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
     words = np.frombuffer(data, ">u2" if processor == MIPS else "<u2", 10, 2).tolist()
     scale, rate = _doubles(data[12:16] + data[20:24], processor).tolist()
-    empty = words[0] == 0  # without points the scale may be anything
+    empty = words[0] == 0  # a file without points may state any scale
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
     sizes = words[0], words[1], words[2], words[3]
@@ -225,7 +225,7 @@ def read_header(data: bytes, path: Path) -> Header:
 
 def _doubles(data: bytes, processor: int) -> np.ndarray:
     """Convert four-byte numbers, as one of C3D's three processors stores them, to doubles."""
-    # no warnings about signalling NaNs of damaged files
+    # damaged files may hold signalling NaNs, of which numpy would warn
     with np.errstate(invalid="ignore"):
         if processor != DEC:
             return np.frombuffer(data, ">f4" if processor == MIPS else "<f4").astype(np.float64)
@@ -277,7 +277,7 @@ def _read_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read positions (frames, points, 3) in the file's unit, and residuals (negative: unseen)."""
     JOINTS.check(header.points, path, "header")
-    # analog samples follow the points of every frame
+    # a frame holds the numbers of its points, then analog samples, which are not read here
     values = _read_numbers(data, header, trial, path, slice(4 * header.points))
     values = values.reshape(len(values), -1, 4)
     return values[..., :3] * (1.0 if header.scale < 0 else header.scale), values[..., 3]

@@ -184,7 +184,7 @@ def refuse_unknown_skeleton(path: Path) -> None:
         return
     head, keyword, _ = decoded_text(read_bytes(path)).partition("MOTION")
     if not keyword:
-        return  # the file's reader raises the error
+        return  # no BVH: reading the file will raise the error
     joints = parse_hierarchy(head, path.name)
     names, parents = [one.name for one in joints], [one.parent for one in joints]
     if joints_by_tree(names, parents, np.array([one.offset for one in joints])) is None:

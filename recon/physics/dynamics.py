@@ -104,8 +104,7 @@ def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: 
     """Compute `Dynamics` from the posed bones and the second moments of the body's mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
     bends, places = second_differences(bones, fps), inner_frames(bones, fps)
-    # in the moments Σ m u uᵀ, every fourth entry of u is a skinning weight; these weights have the
-    # sum 1, so the sum of the columns that belong to them is Σ m u
+    # moments = Σ m u uᵀ: every 4th entry of u is a skinning weight; these sum to 1: first = Σ m u
     first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
     centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
     product = places @ moments[..., None, :, :] @ bends.mT

@@ -81,7 +81,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         camera=camera,
         decisions=said,
     )
-    if camera is None:  # the points are in a world, where the caller knows the ground
+    if camera is None:  # a given ground is in a camera's frame, not in the world
         settings = replace(settings, ground=None)
     return clip_of_files([("geometries", file)], (), settings, body)
 

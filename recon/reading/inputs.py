@@ -73,7 +73,7 @@ def observation_input(path: Path) -> InputFiles:
             return InputFiles(path, _keypoint_files(path))
         views = () if project.detections is None else _keypoint_files(project.detections)
     except (ValueError, OSError):
-        return InputFiles(path, ())  # unreadable: the fit raises the error
+        return InputFiles(path, ())  # unreadable: the fit will raise the error
     points = [] if project.points is None else [project.points]
     every = tuple(one.resolve() for one in (*project.read, *points, *views))
     return InputFiles(path, every, Path(commonpath([path.resolve(), *every])))
@@ -156,10 +156,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         OSError, ValueError: when a file is there and cannot be read.
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
-    del plain["detections"]  # only the folder of detections, which does not change a result
+    del plain["detections"]  # where detections are kept does not change a result
     for name in ("shape", "detector", "fingers"):
         if plain[name] in (None, False):
-            del plain[name]  # so that checksums stay those of versions without these options
+            del plain[name]  # checksums stay those of versions without these options
     contents: dict[str, Any] = {
         "weights": _weights_checksums(settings),
         "tables": _bundled_checksums(
@@ -205,7 +205,7 @@ def _code_checksum(class_place: str) -> str:
     try:
         spec = find_spec(class_place.partition(":")[0])
     except (ImportError, ValueError):
-        spec = None  # the fit raises the error
+        spec = None  # no such module: the fit will raise the error
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return MISSING
     return file_checksum(spec.origin)

@@ -119,7 +119,7 @@ def _plane_difference(
 ) -> tuple[float, float]:
     """Return angle (degrees) and distance at a point `middle` (metres) of two planes."""
     (a, far), (b, far_other) = one, other
-    # choose the sign: a plane has two opposite normals
+    # a plane has two opposite normals: compare the planes with normals of the same direction
     sign = np.sign(a @ b)
     away = (a @ middle - far) - sign * (b @ middle - far_other)
     across = float(np.linalg.norm(np.cross(a, b)))

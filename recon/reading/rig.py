@@ -253,7 +253,7 @@ def _pose_from_points(
     """
     share = 0.0
     if len(points) >= _FEWEST_POINTS:
-        cv2.setRNGSeed(0)  # RANSAC draws random samples
+        cv2.setRNGSeed(0)  # RANSAC draws random samples: the same input must give the same result
         ok, turn, step, inliers = cv2.solvePnPRansac(
             points, places, np.eye(3), None, reprojectionError=_FIRST_OFF
         )

@@ -298,7 +298,7 @@ def _starting_tracks(views: Sequence[TrackedView]) -> list[tuple[int, int]]:
         out += [
             (v, a) for a, track in enumerate(view.tracks) if track.completeness >= _SEED * most
         ]
-    # The first view comes first: persons are named by their number in it.
+    # tracks of the first view come first: persons are numbered as in that view
     return sorted(out, key=lambda seed: (seed[0], -views[seed[0]].tracks[seed[1]].completeness))
 
 

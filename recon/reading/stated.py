@@ -73,7 +73,7 @@ def camera_of_images(camera: CameraArrays, found: Detections) -> tuple[CameraArr
         raise ObservationError(f"{said}; give the calibration of this film")
     matrix = camera.camera_matrix.copy()
     matrix[:2] *= scale[:, None]
-    matrix[:2, 2] += (scale - 1) / 2  # the first pixel's centre is at 0
+    matrix[:2, 2] += (scale - 1) / 2  # pixels are counted from the first one's centre
     note = "filled up or cut at the right and below" if (scale == 1).all() else "scaled"
     return replace(camera, camera_matrix=matrix, image_size=size), f"{said}: {note}"
 
@@ -230,7 +230,7 @@ def _with_motion(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        # the path was found with this focal length, which is a better guess
+        # the camera's path was found with `moved.focal`, so that is the better guess
         guess = replace(_with_focal(camera, moved.focal), focal_std=camera.focal_std)
         return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"

@@ -166,7 +166,7 @@ def _simulated_views(
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # the first 100 views have other seeds than those of the next --seed
+        # up to 100 views: none has the seed of a view that the next --seed simulates
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()

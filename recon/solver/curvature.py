@@ -123,7 +123,7 @@ class Curvature:
         self.yy[rows, slot, : self.used] = newest[..., 1]
         self.sy[rows, slot, slot] = curvature
         self.yy[rows, slot, slot] = size
-        # A pair that is not clearly convex would spoil positive definiteness.
+        # A step and change of gradient of opposite directions would make the estimate indefinite.
         least = torch.finfo(torch.float64).eps * (size * step.square().sum(-1)).sqrt()
         good = curvature > least
         self.live[rows, slot] = good

@@ -188,7 +188,7 @@ class _ProblemRun:
         before = float(self.trace[-1].sum())
         gain = before - float(terms.sum()) if len(terms) > 0 else promise
         few = options.tolerance * max(abs(before), options.scale)
-        if gain >= 0:  # false for nan
+        if gain >= 0:  # false where gain is NaN
             self.trace.append(terms)
             self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
             less = max(gain / self.gain, _FASTEST) if self.gain > gain and len(terms) > 0 else 1.0

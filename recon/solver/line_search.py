@@ -160,7 +160,7 @@ class LineSearches:
         self, before: Float64[np.ndarray, "3 active"]
     ) -> Float64[np.ndarray, " active"]:
         """Return next, longer steps for searches whose objective still falls at `low`."""
-        with np.errstate(all="ignore"):  # bracketed rows give values that are not used
+        with np.errstate(all="ignore"):  # searches with a bracket may divide by 0, and ignore this
             advance = self.low[0] - before[0]
             reach = (cubic_minimiser(self.low, before) - self.low[0]) / advance
             return self.low[0] + advance * np.where(

@@ -127,6 +127,6 @@ def _with_film(view: View, film: Film, motion: Motion, name: str) -> View:
             f"{name}, which lasts from {motion.start_time:.2f} s to {motion.stop_time:.2f} s; "
             "give the whole film that the motion was fitted to"
         )
-    # images padded for a detector: the camera gets the size of the film's images
+    # scale 1: the detector's images were only padded, so the camera gets the film's image size
     taken = size if (scale == 1).all() else wanted
     return replace(view, camera=view.camera.replace(image_size=taken), film=found)

@@ -45,7 +45,7 @@ def _embedded_films(show: Show, overlay: Path | None) -> str:
         if overlay is None:
             write_overlay(overlay := Path(folder) / "films.mp4", show)
         data = base64.b64encode(overlay.read_bytes()).decode("ascii")
-    # times in the middle of a frame: at a frame's first instant browsers still show the previous
+    # shifted by half a frame: at a frame's first instant browsers still show the previous one
     return _video_html(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
 
 

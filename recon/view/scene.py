@@ -16,7 +16,7 @@ from recon.core.visible import visible
 
 if TYPE_CHECKING:
     from recon.view.film import FilmOnClock
-else:  # imported for type checkers only: few scenes have a film
+else:  # only annotations name FilmOnClock: at run time its module need not be loaded
     from typing import Any as FilmOnClock
 
 Colour = tuple[int, int, int]

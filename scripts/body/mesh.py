@@ -158,7 +158,7 @@ def _decimate_half(
     )
     low, high = target // 2, 3 * target
     result = source
-    for _ in range(10):  # bisection: the number of faces is asked for, vertices are wanted
+    for _ in range(10):  # bisection: decimation takes a number of faces, `target` is of vertices
         middle = (low + high) // 2
         result = source.simplify_quadric_decimation(middle, boundary_weight=3.0)
         low, high = (low, middle) if 2 * len(result.vertices) > 1.03 * target else (middle, high)

@@ -9,12 +9,11 @@ from scipy.spatial import cKDTree
 
 from body.layout import FLIP, JOINTS, PARENTS, POINTS, SIDES, TRUNK, mirrored, number
 
-# Where the joints sit relative to MakeHuman's bones. The layout follows the usual SMPL-style
-# conventions (narrow hips, upper spine inside the chest, collar behind the sternum).
+# Joints are placed in MakeHuman's bones as is usual for SMPL: with narrow hips, for example.
 HIP_NARROWING = 0.76  # MakeHuman's hip pivots are 11 cm off the median plane; about 8.5 is usual
 PELVIS_FORWARD = 0.012  # metres
 COLLAR_BACK = 0.016  # metres
-NECK_ALONG = 0.95  # fraction of the first cervical bone
+NECK_ALONG = 0.95  # fraction of the way along the first cervical bone
 TOES_ALONG = 0.87  # fraction of the way from the ankle to the base of the toes
 SPINE_BLEND = 0.09  # metres, half the height over which one spine joint hands over to the next
 TORSO_BONES = (

@@ -21,7 +21,7 @@ def make_inputs(folder: Path) -> None:
         options = {"seed": 1, "frames": CLIP} | options
         path = folder / (name if options.get("views", 1) > 1 else f"{name}.npz")
         recon.simulate(DEMO, kind, **options).save(path, overwrite=True)
-    twice = ("root_orient", "pose_body")  # parts of `poses`
+    twice = ("root_orient", "pose_body")  # these arrays repeat parts of `poses`
     walk = {key: value for key, value in np.load(DEMO).items() if key not in twice}
     random = np.random.default_rng(2)
     np.savez(folder / "slow.npz", **(walk | {"mocap_framerate": 20.0, "mocap_frame_rate": 20.0}))
@@ -30,7 +30,7 @@ def make_inputs(folder: Path) -> None:
         key: walk[key] + random.normal(0, size, walk[key].shape).astype(np.float32)
         for key, size in (("trans", 0.01), ("poses", 0.05))
     }
-    kept = ("betas", "gender", "mocap_framerate")  # without what says whose body it is
+    kept = ("betas", "gender", "mocap_framerate")  # nothing says of which body model it is
     foreign = {key: walk[key] for key in kept} | {k: v[: CLIP[1]] for k, v in jitter.items()}
     np.savez(folder / "estimate.npz", **foreign)
     np.savez(folder / "jitter.npz", **(walk | jitter))

@@ -157,7 +157,7 @@ class ScaledNetworks(nn.Module):
         for network, matrix, mean in moves:
             first = cast(nn.Linear, network.net[0])
             weight, bias = first.weight.double(), first.bias.double()
-            if outwards:  # the network is then W M (x - m) + b
+            if outwards:  # W y + b with y = M (x - m) becomes a layer of x
                 weight = weight @ matrix
                 bias = bias - weight @ mean
             else:

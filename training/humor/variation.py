@@ -155,7 +155,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
     third = so3.exp(differ / 3)
     rotations = legs.rotations.clone()
     rotations[:, :, list(UPPER)] = trunks.rotations[:, :, list(UPPER)]
-    # a third of the difference at each of the three trunk joints: s_j = B⁻¹ · third · B · own
+    # each trunk joint turns by a third of the difference; `below` turns its parent to the pelvis
     below = torch.eye(3).to(third)
     for joint in TRUNK:
         own = trunks.rotations[:, :, joint]

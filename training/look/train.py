@@ -264,7 +264,7 @@ def train(settings: LookTraining) -> Path:
     """
     with logged_in_folder(settings):
         body = BodyModel.load()
-        # with poses on the ground and furniture, too, from which no steps may be learned
+        # poses on the ground and on furniture teach, too, although steps there may not be learned
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
         return LookRun(settings, learned, held_out).train_to_end()
