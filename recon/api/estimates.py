@@ -9,7 +9,7 @@ from torch import Tensor
 
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
 from recon.body.model import BodyModel
-from recon.core.arrays import usable_rate
+from recon.core.arrays import usable_frame_rate
 from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
@@ -69,7 +69,7 @@ def estimate_given(
             f"{motion}: does not say how many frames there are per second; give frame_rate "
             "(--frame-rate), that of the video"
         )
-    usable_rate(rate, "frame_rate")
+    usable_frame_rate(rate, "frame_rate")
     coefficients, words = _shape_to_keep_fixed(read, body, own_body, known_shape)
     translation, rotations = read.translation, read.rotations
     if hand == "left":

@@ -22,7 +22,7 @@ from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLik
 from recon.api.pipeline import fit_and_check, observations_to_fit
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
+from recon.core.arrays import finite_number, positive_number, usable_device, usable_frame_rate
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check
@@ -147,7 +147,7 @@ def fit(
     )
     clip = sighting.clip
     if fps is not None:
-        usable_rate(fps, "fps")
+        usable_frame_rate(fps, "fps")
     held, expected = fixed_shape_or_prior(shape, model)
     options = FitOptions(
         prior=checked_prior(prior, weights, method),

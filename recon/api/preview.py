@@ -11,7 +11,7 @@ from torch import Tensor
 from observations.camera_paths import can_triangulate, on_first_clock, triangulate
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.plugins import LOOKS, imported_object, registered_places
@@ -142,7 +142,7 @@ def _preview_fit(
         below = ground_by_feet if frame_is_level(observations) else ground_by_posture
         ground = below(guess, body)
         first, _ = likeliest_motion(look, _moved_to_world(seen, ground), body)
-        ground = ground.replace(lift=ground.lift - sole_heights(first, body))
+        ground = ground.replace(lift=ground.lift - ground_heights(first, body))
         T = ground.T_world_recording
     motion, found = likeliest_motion(look, _moved_to_world(seen, ground), body)
     if (shape := options.starting_shape) is not None:

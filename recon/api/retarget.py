@@ -128,7 +128,7 @@ def retarget(
         "fps": result.fps,
         "windows": [start / source.fps for start in windows.starts],
         "ground": level,
-        "rotation_change": float(so3.geodesic(source.rotations, made.rotations).mean()),
+        "rotation_change": float(so3.geodesic_angle(source.rotations, made.rotations).mean()),
         "physics": {
             "source": physics_metrics(before),
             "copy": _physical_metrics(

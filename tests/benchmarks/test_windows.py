@@ -79,7 +79,9 @@ def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
     assert windows.truth.translation.shape == (2, 60, 3)
     assert windows.subjects == ("07", "07")
     assert windows.truth.fps == 30
-    turned = so3.geodesic(windows.truth.rotations[1, 0, 0], windows.truth.rotations[0, 35, 0])
+    turned = so3.geodesic_angle(
+        windows.truth.rotations[1, 0, 0], windows.truth.rotations[0, 35, 0]
+    )
     assert turned.item() < 1e-3  # radians: 1.1667 s is frame 35
 
     noisy = noisy_joints(windows.truth, body, seed=3)
