@@ -149,7 +149,7 @@ def cells(
 
 def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInterval | None:
     """Return the mean over subjects; None where no window has a value."""
-    kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
+    kept = [k for k, own in enumerate(windows.subjects) if own in windows.averaged_subjects]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
     if all(value is None for value in own):
