@@ -95,8 +95,8 @@ def retargeted_to_character(
 
     Every bone turns as the person's does, from the same rest pose. The middle of the hips follows
     the person's path, scaled by the ratio of the legs about its start. Then standing feet and
-    touching hands keep their contacts (`Limb.goal`) by inverse kinematics of the two bones above:
-    the hips sink where a leg is too short, and rise where other parts would be in the ground.
+    touching hands keep their contacts (`Limb.end_targets`) by inverse kinematics of the two bones
+    above: hips sink where a leg is too short, and rise where other parts would be in the ground.
     """
     rig, person = CharacterRig.of(character, motion, body), PersonMotion.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)

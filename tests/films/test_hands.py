@@ -60,7 +60,7 @@ class Seeing(HandNetworks):
     def palms_in(self, image, square):  # noqa: ARG002
         self.searches += 1
         return [
-            Palm(one.region, one.pixels[0], 0.9)
+            Palm(one.next_region, one.pixels[0], 0.9)
             for one in self.hands[self.frame]
             if np.abs(one.pixels[9] - square.centre).max() < square.side / 2
         ]
