@@ -36,6 +36,9 @@ from recon.method.terms import Term
 
 _LOG = logging.getLogger("recon")
 
+_MOST_NOISE_M = 1.0
+"""Largest noise (m) of a coordinate that can be meant; larger numbers are millimetres."""
+
 
 def fit(
     observations: ObservationsLike,
@@ -262,7 +265,14 @@ def _noise_of_each(
             f"noise: expected one number, or {count}, one for each of {', '.join(clip.names)}; "
             f"got {len(given)}"
         )
-    return tuple(None if one is None else positive_number(one, "noise") for one in given)
+    usable = tuple(None if one is None else positive_number(one, "noise") for one in given)
+    for deviation, name, seen in zip(usable, clip.names, clip.observations, strict=True):
+        if seen.unit == "metres" and (deviation or 0.0) > _MOST_NOISE_M:
+            raise ObservationError(
+                f"noise: expected at most {_MOST_NOISE_M:g} m for {name}, got {deviation:g}; it "
+                "is in metres: 20 mm are 0.02"
+            )
+    return usable
 
 
 def _start_in_fit_frame(

@@ -62,6 +62,8 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
                 f"line {number} would be one file"
             )
         clips[same] = number, clip
+    if not clips:
+        raise ValueError(f"{path}: expected {_EXPECTED} in a line for each clip, got no line")
     return tuple(clip for _, clip in clips.values())
 
 

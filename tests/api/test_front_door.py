@@ -104,6 +104,15 @@ def test_pixels_and_metres_need_a_noise_each():
     assert [noise.own for noise in result.noises] == [0.03, 5.0]
 
 
+def test_noise_in_millimetres_is_refused():
+    with pytest.raises(
+        recon.ObservationError, match=r"at most 1 m for joints3d, got 20; .* 0\.02"
+    ):
+        recon.fit(seen(noisy(8)), Quick(), noise=20.0)
+    pixels = view(walk(8), cameras(walk(8))[0])
+    assert recon.fit(pixels, Quick(), noise=20.0).noises[0].own == 20
+
+
 def test_a_shape_is_held():
     shape = [1.5, -1.0]
     result = recon.fit(seen(noisy(8)), Quick(), shape=shape)

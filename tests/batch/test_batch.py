@@ -208,6 +208,9 @@ def test_manifests_are_text_as_it_comes(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="expected text in UTF-8"):
         read_manifest(path)
+    path.write_text("\n\n")
+    with pytest.raises(ValueError, match="in a line for each clip, got no line"):
+        read_manifest(path)
 
 
 def test_shards_are_a_partition():
