@@ -29,7 +29,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 from recon.core.units import to_z_up
 from recon.export.motion import export_file
-from recon.export.tables import markers_of, places_of
+from recon.export.tables import body_places_of_markers, recorded_markers
 from recon.formats.motions import load_motion
 
 _PARENTS = {
@@ -84,7 +84,7 @@ def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[f
         for name, joint in (("femur", "hip"), ("tibia", "knee"), ("foot", "ankle"))
     }
     found = {}
-    for label, place in places_of("bsm").items():
+    for label, place in body_places_of_markers("bsm").items():
         vertex = torch.tensor([landmark(place.landmarks[0])])
         shares = body.weights[vertex[0]]
         bone = int(shares.argmax())
@@ -274,7 +274,7 @@ def opensim(
             and not name.startswith(("ik pelvis_tx", "ik pelvis_ty", "ik pelvis_tz"))
         }
         markers = arrays["markers"]
-    own = markers_of(motion, body, "bsm", "m")
+    own = recorded_markers(motion, body, "bsm", "m")
     heights = own.positions[frames] @ to_z_up("y")
     return {
         "opensim": said["version"],

@@ -340,7 +340,7 @@ def result_of(
 
         motion, said = with_fingers(motion, body, clip.observations, found.observations, T)
         examined = replace(examined, found=examined.found + said)
-    known = examined.described_at(motion)
+    known = examined.results_at_frames_of(motion)
     if belt is not None:
         # on a treadmill the prior's contacts are with the belt, not with the floor of the room
         known["contact_probability"] = None

@@ -24,7 +24,7 @@ _MIN_LABELLED = 10
 """Number of confidently labelled points that a frame must have to be used."""
 
 
-def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
+def distance_from_labelled_places(cloud: PointCloud, estimate: Estimate) -> float | None:
     """Return how far (m) labelled points are from their labelled place on the fitted body.
 
     This is the median over the points of a frame, and the upper quartile over up to twelve frames:
@@ -66,9 +66,9 @@ _MAX_FAR_STDS = 2.0
 """Standard deviations of the sensor's noise by which the 90th percentile may be farther; of the
 absolute values of normal deviations it is 1.64."""
 _MAX_LABEL_M = 0.075
-"""Limit (m) on `label_distance`, in addition to the sensor's noise. On validation windows right
-fits have 3 to 5 cm, and up to 7 cm with 5 cm of sensor noise; a fit that is 12 cm wrong has 11
-cm."""
+"""Limit (m) on `distance_from_labelled_places`, in addition to the sensor's noise. On validation
+windows right fits have 3 to 5 cm, and up to 7 cm with 5 cm of sensor noise; a fit that is 12 cm
+wrong has 11 cm."""
 _ON_BODY = 0.8
 """Mean probability that points lie on a body, below which they are taken to show something else.
 People have 0.99, tables and chairs 0.3 to 0.7; a box of the size of a person passes for one."""
@@ -91,8 +91,8 @@ def basin_findings(
     if quantiles is None:
         return []
     cloud = cloud.labelled()  # no effect if the first guess labelled the points
-    outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
-    labelled = label_distance(cloud, estimate) or 0.0
+    outside, far = uncovered_surface_share(cloud, estimate) or 0.0, quantiles[1]
+    labelled = distance_from_labelled_places(cloud, estimate) or 0.0
     on_body = 1.0
     if cloud.labels is not None and bool(cloud.present.any()):
         on_body = float(cloud.labels.on_body[cloud.present].mean())
@@ -123,7 +123,7 @@ def basin_findings(
     ]
 
 
-def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
+def uncovered_surface_share(cloud: PointCloud, estimate: Estimate) -> float | None:
     """Return the share of the fitted surface facing the sensor that no cloud point covers.
 
     This is the median over up to twelve frames; None without a sensor's pose or where nothing was

@@ -177,13 +177,13 @@ class SlowestFootSpeeds:
     corrected for keypoint noise."""
 
     @property
-    def moves(self) -> bool:
+    def camera_moves(self) -> bool:
         """Whether the camera surely moves, as even resting feet move in the image."""
-        never = self.brief > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.flying)
-        return self.speed > _MOVING_M_S and (self.flying < _FLYING_M_S or never)
+        never_rests = self.brief > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.flying)
+        return self.speed > _MOVING_M_S and (self.flying < _FLYING_M_S or never_rests)
 
     @property
-    def may_move(self) -> bool:
+    def camera_may_move(self) -> bool:
         """Whether the camera may move, as the slowest feet move faster than resting ones do."""
         return self.speed > _RESTING_M_S
 

@@ -103,7 +103,7 @@ def _misfit_of_rigid_motion(
     return float(np.log1p(away).mean()), float(motion[2]) if turning else 0.0
 
 
-def carried_finding(
+def turned_camera_finding(
     name: str,
     motion: Motion,
     body: BodyModel,

@@ -29,7 +29,7 @@ from recon.diagnosis.findings import (
     NOTHING,
     Finding,
     Findings,
-    chosen,
+    flagged,
     listed,
     spans,
     stretches,
@@ -62,7 +62,7 @@ def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
             continue
         grounded = clip.options.grounded
         kept[row], more, own, motion = screen_points(one.named, clip.body, grounded=grounded)
-        found += more.of(clip.names[row])
+        found += more.of_sensor(clip.names[row])
         belt = own if belt is None else belt
         start = motion if start is None else start
     return replace(clip, observations=tuple(kept), belt=belt, start=start), found
@@ -104,17 +104,17 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     if view.camera.T_camera_world.shape[-3] > 1 or view.fps < FEW_MOMENTS:
         return clip, NOTHING
     from recon.diagnosis.cameras import moving_finding, slowest_foot_speeds
-    from recon.diagnosis.carried import carried_finding
+    from recon.diagnosis.carried import turned_camera_finding
     from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.body)
     rest = slowest_foot_speeds(seen)
-    if rest is not None and rest.moves:
+    if rest is not None and rest.camera_moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _rate_is_untestable(clip):
         return clip, NOTHING
-    rests = rest is not None and not rest.may_move
-    said = carried_finding(clip.names[0], clip.motion, clip.body, clip.seen, rests=rests)
+    rests = rest is not None and not rest.camera_may_move
+    said = turned_camera_finding(clip.names[0], clip.motion, clip.body, clip.seen, rests=rests)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -153,7 +153,7 @@ def residuals(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     for sensor, one in zip(clip.observations, clip.residuals, strict=True):
         if one.median is None:
             said = Finding("unseen", "nothing was seen at the times of the motion")
-            found.append(said.of(one.name))
+            found.append(said.of_sensor(one.name))
         elif one.median > max(_MAX_RESIDUAL_STDS * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
             known = [(value, name) for name, value in one.by_point.items() if value is not None]
             points = tuple(name for _, name in sorted(known, reverse=True)[:3])
@@ -166,7 +166,7 @@ def residuals(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
                 points,
                 value=one.median,
             )
-            found.append(said.of(one.name))
+            found.append(said.of_sensor(one.name))
     return clip, Findings(warnings=found)
 
 
@@ -324,7 +324,7 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
             f"give the whole recording, with {FEW_MOMENTS:g} moments a second or more"
         )
         rare = (Finding("few moments", said, value=rate),)
-    if never := chosen(JOINTS, ~np.any(clip.observed, axis=0)):
+    if never := flagged(JOINTS, ~np.any(clip.observed, axis=0)):
         said = (
             f"{listed(never)} {'was' if len(never) == 1 else 'were'} never seen; the prior "
             "inferred them (`observed` in the motion file)"
@@ -362,7 +362,7 @@ def guessed(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     flags = loose.mean(1) >= _LARGE_PART
     if flags.sum() < _MIN_GUESSED_S * clip.motion.fps:
         return clip, NOTHING
-    names, frames = chosen(JOINTS, loose[flags].mean(0) > 0.5), stretches(flags)
+    names, frames = flagged(JOINTS, loose[flags].mean(0) > 0.5), stretches(flags)
     typical = float(np.median(std[flags][loose[flags]]))
     said = (
         f"{listed(names) if names else 'much of the body'} may be anywhere within some "

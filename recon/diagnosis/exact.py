@@ -12,7 +12,7 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.diagnosis.findings import NOTHING, Finding, Findings, chosen, listed, spans, stretches
+from recon.diagnosis.findings import NOTHING, Finding, Findings, flagged, listed, spans, stretches
 from recon.diagnosis.named_points import NamedPoints, relative_body_size
 from recon.diagnosis.tracks import temporal_noise
 
@@ -52,7 +52,7 @@ def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
         zero[:, root] = False
     if not zero.any():
         return points, NOTHING
-    joints = chosen(points.names, np.any(zero, axis=0))
+    joints = flagged(points.names, np.any(zero, axis=0))
     share = float(zero.sum() / points.visible.sum())
     said = Finding(
         "zeros",
@@ -84,7 +84,7 @@ def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     return points.without(whole[:, None]), Findings((said,))
 
 
-def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+def repaired_frozen(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     """Mark points as unseen where they keep one value for several frames while others move."""
     visible = points.visible
     same, step = unchanged(points.positions, visible), np.zeros(visible.shape)
@@ -103,7 +103,7 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     if not hidden.any():
         return points, NOTHING
     joints, frames = (
-        chosen(points.names, np.any(hidden, axis=0)),
+        flagged(points.names, np.any(hidden, axis=0)),
         stretches(np.any(hidden, axis=1)),
     )
     said = Finding(

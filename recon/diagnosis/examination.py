@@ -133,15 +133,15 @@ class ExaminedClip(CheckedClip):
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "ExaminedClip":
         """Return a clip with the results of its fit, before the checks of these."""
-        here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
+        detached_estimate = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
-            estimate=here,
+            estimate=detached_estimate,
             motion=fit.result.clip(0).detach(),
-            residuals=tuple(summarise(*sensor, here) for sensor in sensors),
-            observed=observed_joints(fit.observations, here),
+            residuals=tuple(summarise(*sensor, detached_estimate) for sensor in sensors),
+            observed=observed_joints(fit.observations, detached_estimate),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
@@ -151,7 +151,7 @@ class ExaminedClip(CheckedClip):
         """Mask of the joints that were observed, for the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
-    def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
+    def results_at_frames_of(self, motion: Motion) -> dict[str, Tensor | None]:
         """Return per-frame results (observed joints, contacts, deviations) at a motion's frames.
 
         The keys are those of `MotionFile`: `observed`; the standard deviations `joint_std` (m),

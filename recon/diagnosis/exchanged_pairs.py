@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 from recon.diagnosis.findings import Finding, Findings, listed, spans, stretches
 from recon.diagnosis.images import (
     Images,
-    better_changes,
-    keeps_facing,
-    length_saved,
+    bone_length_saved,
+    keeps_facing_one_side,
     neighbours_on_limbs,
+    undoing_improves_fit,
 )
 
 _MIN_JUMP_M = 0.08
@@ -71,8 +71,8 @@ def _confirmed_pairs(
     for (first, last), own in _pairs_by_stretch(found).items():
         after = exchanged_back(images, own)
         ends = [t for t in (first, last + 1) if 0 < t < images.pixels.shape[1]]
-        better = bool(better_changes(images, after, np.array(ends)).all())
-        confirmed = better and (len(ends) == 2 or keeps_facing(after))
+        better = bool(undoing_improves_fit(images, after, np.array(ends)).all())
+        confirmed = better and (len(ends) == 2 or keeps_facing_one_side(after))
         (sure if confirmed else doubted).extend(own)
     return sure, doubted
 
@@ -140,7 +140,7 @@ def _pair_finding(
         names,
         frames,
         max(one.distance for one in pairs),
-    ).of(images.names[view])
+    ).of_sensor(images.names[view])
 
 
 def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
@@ -156,7 +156,7 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
             exchanged = np.zeros(images.pixels.shape[1], dtype=bool)
             for t in jumps:
                 exchanged[t:] ^= True
-            saved = np.nan_to_num(length_saved(images, v, pair))
+            saved = np.nan_to_num(bone_length_saved(images, v, pair))
             inside, outside = saved[exchanged].sum(), saved[~exchanged].sum()
             if outside > inside or (outside == inside and exchanged.mean() > 0.5):
                 exchanged = ~exchanged
@@ -174,7 +174,7 @@ def exchanged_throughout(images: Images) -> list[ExchangedPair]:
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):
         for pair in neighbours_on_limbs(images):
-            saved = length_saved(images, v, pair)
+            saved = bone_length_saved(images, v, pair)
             known = saved[np.isfinite(saved)]
             if known.size and (mean := float(known.mean())) > _MIN_LENGTH_SAVED_M:
                 found.append(ExchangedPair(v, pair, 0, last, mean))

@@ -56,20 +56,20 @@ class DoubtedView:
         rest = [v for v in range(len(images.names)) if v != view]
         return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
-    def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
+    def ray_distances(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
         """Return distances (m) of the view's rays from the others' points; NaN if unknown."""
         one = Rays.of((self.images if images is None else images).view([self.view]))
         there = self.exists & (one.weight[0] > 0)
-        return np.where(there, one.miss(self.points)[0], np.nan)
+        return np.where(there, one.distances_from(self.points)[0], np.nan)
 
-    def miss(self, images: Images | None = None) -> float:
+    def median_ray_distance(self, images: Images | None = None) -> float:
         """Return the median distance (m) of the view's rays from the others' points."""
-        away = self.misses(images)
+        away = self.ray_distances(images)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
-    def explained(self, causes: tuple[Cause, ...]) -> list[ExplainedView]:
+    def corrected_by_cause(self, causes: tuple[Cause, ...]) -> list[ExplainedView]:
         """Correct the view under each hypothesis; also measure the remaining errors."""
-        undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
+        corrections: dict[Cause, Callable[[], tuple[Images, float]]] = {
             "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
             "turned": self._with_constant_turn,
             "sized": self._with_scaled_image,
@@ -78,11 +78,11 @@ class DoubtedView:
         }
         out: list[ExplainedView] = []
         for cause in causes:
-            images, value = undone[cause]()
-            out.append(ExplainedView(cause, images, value, self.miss(images)))
+            images, value = corrections[cause]()
+            out.append(ExplainedView(cause, images, value, self.median_ray_distance(images)))
         return out
 
-    def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _rays_and_directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rays and directions to triangulated points (camera's frame), and a mask."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
@@ -93,19 +93,19 @@ class DoubtedView:
 
     def _with_constant_turn(self) -> tuple[Images, float]:
         """Rotate the camera about its centre so that most rays meet the points (robust Wahba)."""
-        rays, ways, there = self._directions()
-        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])
+        rays, ways, there = self._rays_and_directions()
+        turn = robust_rotations(ways[there][None], rays[there][None], there[there][None])
         degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
         return self._with_turn(turn), float(degrees)
 
     def _with_smooth_turn(self) -> tuple[Images, float]:
         """Rotate the camera about its centre by a rotation that changes smoothly over time."""
-        rays, ways, there = self._directions()
+        rays, ways, there = self._rays_and_directions()
         moments = len(rays)
         known = there.sum(-1) >= _MIN_POINTS
         if not known.any():
             return self.images, 0.0
-        vectors = Rotation.from_matrix(robust_turns(ways, rays, there)[known]).as_rotvec()
+        vectors = Rotation.from_matrix(robust_rotations(ways, rays, there)[known]).as_rotvec()
         times = np.arange(moments)
         vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
         smooth = moving_average(vectors, round(_SMOOTHING_S * self.images.fps))
@@ -139,7 +139,7 @@ class DoubtedView:
         """Estimate another camera pose, with which most points agree (PnP with RANSAC)."""
         images, pose = self.images, self.images.pose.copy()
         local, front = in_camera(pose[self.view], self.points)
-        rays, _, there = self._directions()
+        rays, _, there = self._rays_and_directions()
         good = there & front & (rays[..., 2] > _MIN_DEPTH_SHARE)
         if good.sum() < _MIN_SAMPLES:
             return images, 0.0
@@ -181,7 +181,7 @@ def shifted_in_time(images: Images, view: int, frames: float) -> Images:
     return replace(images, pixels=pixels, confidence=confidence)
 
 
-def robust_turns(
+def robust_rotations(
     targets: Float[np.ndarray, "moments samples 3"],
     rays: Float[np.ndarray, "moments samples 3"],
     known: Bool[np.ndarray, "moments samples"],

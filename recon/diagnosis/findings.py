@@ -69,7 +69,7 @@ class Finding:
     sensors: tuple[str, ...] = ()
     """Names of the sensors concerned; empty means all."""
 
-    def of(self, sensor: str) -> "Finding":
+    def of_sensor(self, sensor: str) -> "Finding":
         """Return the finding with a sensor's name in its record and before its message."""
         return replace(self, message=f"{sensor}: {self.message}", sensors=(sensor,))
 
@@ -97,10 +97,10 @@ class Findings:
             (*self.diagnosis, *other.diagnosis),
         )
 
-    def of(self, sensor: str) -> "Findings":
+    def of_sensor(self, sensor: str) -> "Findings":
         """Return the findings with a sensor's name in the records and before the messages."""
         every = (self.repairs, self.warnings, self.diagnosis)
-        return Findings(*(tuple(one.of(sensor) for one in some) for some in every))
+        return Findings(*(tuple(one.of_sensor(sensor) for one in some) for some in every))
 
 
 NOTHING = Findings()
@@ -132,7 +132,7 @@ def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.n
     return out
 
 
-def chosen(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[str, ...]:
+def flagged(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[str, ...]:
     """Return the names whose flag is true."""
     return tuple(name for name, flag in zip(names, flags, strict=True) if flag)
 

@@ -181,8 +181,8 @@ def rates_by_strides(movement: Movement) -> Bounds:
 
     Widths are in lengths of a leg, durations in sqrt(leg length / g).
     """
-    between = (movement.ankles[:, 0] - movement.ankles[:, 1])[:, :2]
-    apart = (between * movement.forward).sum(-1) / movement.leg
+    step_vectors = (movement.ankles[:, 0] - movement.ankles[:, 1])[:, :2]
+    apart = (step_vectors * movement.forward).sum(-1) / movement.leg
     turns = itertools.pairwise(_turning_points(apart))
     steps = np.array([(a, b) for a, b in turns if apart[a] * apart[b] < 0])
     if len(steps) < _LEAST_STEPS:
@@ -237,15 +237,17 @@ class RateRange:
     """Descriptions of the tests that the bounds follow from."""
 
     @property
-    def holds(self) -> bool:
+    def has_declared(self) -> bool:
         """Whether the declared rate is within the range."""
         return self.low <= 1 <= self.high
 
     @property
     def likeliest(self) -> float:
         """Likeliest factor: 1 if in range, else a usual one in range, else the nearest bound."""
-        near = 1.0 if self.holds else self.high if self.high < 1 else self.low
-        inside = [f for f in _USUAL_FACTORS if self.low <= f <= self.high and not self.holds]
+        near = 1.0 if self.has_declared else self.high if self.high < 1 else self.low
+        inside = [
+            f for f in _USUAL_FACTORS if self.low <= f <= self.high and not self.has_declared
+        ]
         return min(inside, key=lambda factor: abs(math.log(factor)), default=near)
 
 
@@ -284,7 +286,7 @@ def rate_finding(
 ) -> Finding | None:
     """Return a warning that the frame rate is wrong by a factor; None if it is plausible."""
     found = rate_range(motion, body, observed)
-    if found is None or found.holds:
+    if found is None or found.has_declared:
         return None
     factor = found.likeliest
     way = "fast" if found.high < 1 else "slow"

@@ -165,12 +165,12 @@ class Images:
             flags: views and frames in which names are permuted.
             order: keypoint k gets the position of keypoint order[k]; default: left-right exchange.
         """
-        here = flags[..., None]
+        in_frames = flags[..., None]
         order = self.counterparts if order is None else order
         return replace(
             self,
-            pixels=np.where(here[..., None], self.pixels[:, :, order], self.pixels),
-            confidence=np.where(here, self.confidence[:, :, order], self.confidence),
+            pixels=np.where(in_frames[..., None], self.pixels[:, :, order], self.pixels),
+            confidence=np.where(in_frames, self.confidence[:, :, order], self.confidence),
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
@@ -220,22 +220,22 @@ def confirmed_sides(
     """
     changes = np.flatnonzero(np.diff(flags)) + 1
     after = images.exchanged(flags[None])
-    won = dict(zip(changes.tolist(), better_changes(images, after, changes), strict=True))
+    won = dict(zip(changes.tolist(), undoing_improves_fit(images, after, changes), strict=True))
     sure = np.zeros_like(flags)
     for a, b in stretches(flags):
         ends = [won[t] for t in (a, b + 1) if t in won]
-        sure[a : b + 1] = all(ends) and (len(ends) == 2 or keeps_facing(after))
+        sure[a : b + 1] = all(ends) and (len(ends) == 2 or keeps_facing_one_side(after))
     return sure
 
 
-def better_changes(
-    images: Images, after: Images, changes: Int[np.ndarray, " changes"]
+def undoing_improves_fit(
+    images: Images, repaired: Images, changes: Int[np.ndarray, " changes"]
 ) -> Bool[np.ndarray, " changes"]:
     """For each change of names in one view, return whether undoing it improves a quick fit.
 
     Args:
         images: images with the changes of names.
-        after: the same images without them.
+        repaired: the same images without them.
         changes: first frame after each change.
     """
     moments = images.confidence.shape[1]
@@ -243,10 +243,10 @@ def better_changes(
     first = np.clip(changes - half, 0, moments - 2 * half).tolist()
     versions = [
         view.derived(**view.some_frames(range(a, a + 2 * half)))
-        for view in (*images.sensors, *after.sensors)
+        for view in (*images.sensors, *repaired.sensors)
         for a in first
     ]
-    given, new = _costs_of_views(versions, images.body).reshape(2, -1)
+    given, new = _costs_of_quick_fits(versions, images.body).reshape(2, -1)
     return new < _MAX_COST_RATIO * given
 
 
@@ -260,13 +260,13 @@ def fits_better_exchanged(images: Images, share: float) -> bool:
     after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
     excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
     costs = (
-        _costs_of_views([paced(one, rate) for one in excerpts], images.body)
+        _costs_of_quick_fits([paced(one, rate) for one in excerpts], images.body)
         for rate in (QUICK_PACE, PACE)
     )
     return all(exchanged < share * given for given, exchanged in costs)
 
 
-def keeps_facing(images: Images) -> bool:
+def keeps_facing_one_side(images: Images) -> bool:
     """Whether the body faces the same side of the only view's image in nearly all frames."""
     seen = images.seen[0] & images.seen[0][:, images.counterparts]
     names = ("shoulder", "hip")
@@ -276,7 +276,7 @@ def keeps_facing(images: Images) -> bool:
     return bool((across @ across.mean(0) > 0)[seen[:, pairs].any(-1)].mean() > _MIN_FACING_SHARE)
 
 
-def _costs_of_views(
+def _costs_of_quick_fits(
     versions: Sequence[Keypoints2D], body: BodyModel
 ) -> Float[np.ndarray, " versions"]:
     """Return objectives (m²) of quick fits to equally long versions of one camera's keypoints."""
@@ -284,10 +284,10 @@ def _costs_of_views(
     start = seen.start(body)
     noise = seen.noise(start, body)
 
-    def method(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         return keeping_distance(quick_stages(noise.metres, data))
 
-    found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
+    found = solve([seen], stages, body, start=start, weights=weights_of((noise,)))
     return found.reports[-1].solution.value.double().numpy()
 
 
@@ -306,7 +306,7 @@ def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
     return {(middle, end): root for root, middle, end in rows}
 
 
-def length_saved(
+def bone_length_saved(
     images: Images, view: int, pair: tuple[int, int]
 ) -> Float[np.ndarray, " moments"]:
     """Return by how many metres exchanging two keypoints shortens bones that are too long.

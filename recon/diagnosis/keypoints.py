@@ -21,7 +21,7 @@ from recon.diagnosis.findings import (
     NOTHING,
     Finding,
     Findings,
-    chosen,
+    flagged,
     listed,
     run_checks,
     spans,
@@ -37,7 +37,7 @@ from recon.diagnosis.odds import (
 from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import without_implausible
 from recon.diagnosis.rays import Rays, scale_findings
-from recon.diagnosis.rigs import median_miss
+from recon.diagnosis.rigs import ray_distance
 from recon.diagnosis.sides import repaired_by_rays, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
@@ -57,10 +57,10 @@ Seen = Bool[np.ndarray, "moments points"]
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
     """Mark keypoints at (0, 0) as unseen, as missing ones are often written so."""
 
-    def finding(v: int, here: Seen) -> Finding:
+    def finding(view: int, zeros: Seen) -> Finding:
         share, points = (
-            here.sum() / images.seen[v].sum(),
-            chosen(images.points, np.any(here, axis=0)),
+            zeros.sum() / images.seen[view].sum(),
+            flagged(images.points, np.any(zeros, axis=0)),
         )
         return Finding(
             "zeros",
@@ -68,7 +68,7 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
             f"missing ones are often written ({listed(points)}); they were taken as not seen. "
             "Write a confidence of 0 for them",
             points,
-            stretches(np.any(here, axis=-1)),
+            stretches(np.any(zeros, axis=-1)),
             float(share),
         )
 
@@ -83,8 +83,8 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
     photographs = copied.sum(-1) > _MIN_PHOTOGRAPH_SHARE * copied.shape[1]
     copied = np.pad(copied & ~photographs[:, None], ((0, 0), (1, 0)))
 
-    def finding(_: int, here: Seen) -> Finding:
-        frames = np.any(here, axis=-1)
+    def finding(_: int, copies: Seen) -> Finding:
+        frames = np.any(copies, axis=-1)
         return Finding(
             "repeated frames",
             f"{frames.sum()} frames are exact copies of the frame before them; they were taken as "
@@ -98,7 +98,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
     return hidden_keypoints(images, np.repeat(copied[..., None], len(images.points), -1), finding)
 
 
-def repaired_held(images: Images) -> tuple[Images, Findings]:
+def repaired_frozen(images: Images) -> tuple[Images, Findings]:
     """Mark keypoints as unseen where they keep exactly one place while others move."""
     length = np.zeros(images.seen.shape, dtype=int)
     for v, same in enumerate(unchanged(images.pixels, images.seen)):
@@ -108,10 +108,10 @@ def repaired_held(images: Images) -> tuple[Images, Findings]:
     usual = np.median(length.max(1), -1)
     held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _HELD_RATIO * (usual[:, None, None] + 1))
 
-    def finding(_: int, here: Seen) -> Finding:
+    def finding(_: int, frozen: Seen) -> Finding:
         frames, points = (
-            stretches(np.any(here, axis=-1)),
-            chosen(images.points, np.any(here, axis=0)),
+            stretches(np.any(frozen, axis=-1)),
+            flagged(images.points, np.any(frozen, axis=0)),
         )
         return Finding(
             "constant point",
@@ -120,7 +120,7 @@ def repaired_held(images: Images) -> tuple[Images, Findings]:
             "it has lost; they were taken as not seen there",
             points,
             frames,
-            float(here.sum(0).max() / images.fps),
+            float(frozen.sum(0).max() / images.fps),
         )
 
     return hidden_keypoints(images, held, finding)
@@ -133,7 +133,7 @@ def hidden_keypoints(
 ) -> tuple[Images, Findings]:
     """Mark wrong keypoints as unseen, and return a finding for each view with such ones."""
     rows = [v for v, here in enumerate(wrong) if here.any()]
-    repairs = tuple(finding_of_view(v, wrong[v]).of(images.names[v]) for v in rows)
+    repairs = tuple(finding_of_view(v, wrong[v]).of_sensor(images.names[v]) for v in rows)
     return images.without(wrong), Findings(repairs)
 
 
@@ -177,14 +177,14 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     )
     share = wild.sum((1, 2)) / count
 
-    def finding(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
+    def finding(v: int, outliers: Bool[np.ndarray, "moments points"]) -> Finding:
         return Finding(
             "outliers",
             f"{100 * share[v]:.2g} % of the keypoints are far from where they were just before "
             "and are just after; they were taken as not seen. Another detector, or a higher least "
             "confidence, may help",
             (),
-            stretches(np.any(here, axis=-1)),
+            stretches(np.any(outliers, axis=-1)),
             float(share[v]),
         )
 
@@ -237,7 +237,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
     most = size.max(0)
     frames = [a + int(most[a : b + 1].argmax()) for a, b in stretches(np.any(changed, axis=0))]
     common = changed.sum(0) >= max(2, len(changed) / 2)
-    names = ", ".join(chosen(images.names, np.any(changed, axis=1)))
+    names = ", ".join(flagged(images.names, np.any(changed, axis=1)))
     return (
         Finding(
             "identity change",
@@ -248,7 +248,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
             (),
             tuple((t, t) for t in frames),
             float(most[frames].max()),
-        ).of("all views" if len(changed) > 1 and common.any() else names),
+        ).of_sensor("all views" if len(changed) > 1 and common.any() else names),
     )
 
 
@@ -265,7 +265,7 @@ def order_findings(images: Images) -> tuple[Finding, ...]:
                 "numbered (frame_2 must not follow frame_10)",
                 value=one,
             )
-            found.append(finding.of(name))
+            found.append(finding.of_sensor(name))
     return tuple(found)
 
 
@@ -296,7 +296,7 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
     known = np.isfinite(upwards)
     down = (upwards < 0).sum(-1) > _UPSIDE_DOWN_SHARE * np.maximum(known.sum(-1), 1)
     return tuple(
-        Finding("mirrored", said).of(name)
+        Finding("mirrored", said).of_sensor(name)
         for name, here in zip(images.names, down, strict=True)
         if here
     )
@@ -311,7 +311,7 @@ def repaired_names(images: Images) -> tuple[Images, Findings]:
 
     Rays of such points meet, so the names are checked on the triangulated body.
     """
-    if len(images.names) < 2 or median_miss(images) > _MAX_MISS_M:
+    if len(images.names) < 2 or ray_distance(images) > _MAX_MISS_M:
         return images, NOTHING
     points, exists = Rays.of(images).triangulated()
     points = np.where(exists[..., None], points, 0.0)
@@ -323,7 +323,9 @@ def repaired_names(images: Images) -> tuple[Images, Findings]:
     order = np.arange(len(images.points))
     for a, b in pairs:
         order[[a, b]] = b, a
-    found = exchanged_back(named, pairs, np.ones(len(exists), dtype=bool))[1].of("all views")
+    found = exchanged_back(named, pairs, np.ones(len(exists), dtype=bool))[1].of_sensor(
+        "all views"
+    )
     pixels, confidence = images.pixels[:, :, order], images.confidence[:, :, order]
     return replace(images, pixels=pixels, confidence=confidence), found
 
@@ -357,7 +359,7 @@ def screen_views(
 
 def screened(images: Images) -> tuple[Images, Findings]:
     """Repair and check views of one clock and keypoint layout; also return the findings."""
-    images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_held))
+    images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_frozen))
     continuous = images.fps >= FEW_MOMENTS
     disorder = order_findings(images) if continuous else ()
     # frames in a wrong order would look like outliers

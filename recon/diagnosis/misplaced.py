@@ -7,13 +7,13 @@ from jaxtyping import Bool, Float
 
 from recon.core.arrays import finite_median
 from recon.core.skeleton import ARMS, MIRROR, PARENTS
-from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
+from recon.diagnosis.findings import Code, Finding, flagged, lasting, listed, stretches
 from recon.diagnosis.named_points import (
     NamedPoints,
     PredictedPoints,
     distances,
     joint_pairs,
-    out_of_reach,
+    joints_of_impossible_bones,
     relative_body_size,
     rest_length,
 )
@@ -73,7 +73,7 @@ _MAX_COSINE = -0.5
 """Cosine of the left-to-right directions of two limbs below which one is exchanged."""
 
 
-def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
+def limbs_maybe_exchanged(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
     """Find groups of left-right pairs, each a part of a limb, that may be exchanged; mostly none.
 
     Candidates are limbs of which a bone fits the other side's joint, and limbs whose left-to-right
@@ -138,7 +138,7 @@ def exchanged_moments(predicted: PredictedPoints, noise: float) -> Exchanges:
         own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
         both = points.visible[:, a] & points.visible[:, b]
         surely = both & (own - other > nearer) & (other < _MAX_REMAINING_SHARE * own)
-        moments = _whole_stretches(surely, both & (own - other > noise))
+        moments = _likely_runs_with_sure_frame(surely, both & (own - other > noise))
         if moments.any():
             found.append((float((own - other)[moments].sum()), (a, b), moments & both))
     kept: Exchanges = []
@@ -148,7 +148,7 @@ def exchanged_moments(predicted: PredictedPoints, noise: float) -> Exchanges:
     return kept
 
 
-def _whole_stretches(
+def _likely_runs_with_sure_frame(
     surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
     """Return runs of likely frames that contain a sure one, with short gaps closed.
@@ -176,7 +176,7 @@ _MIN_SAVED_M = 0.1
 
 def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
     """Return a mask of frames where left and right are exchanged relative to the first frame."""
-    return _odd_exchanges(_moments_of_exchange(points, _counterpart_pairs(points)))
+    return _after_odd_count(_moments_of_exchange(points, _counterpart_pairs(points)))
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
@@ -186,7 +186,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
         flips = _moments_of_exchange(points, [pair])
         # after an odd number of exchanges either the first or the last frame is wrong
         if flips.any() and flips.sum() % 2 == 0:
-            found.append((pair, _odd_exchanges(flips) & points.visible[:, list(pair)].all(1)))
+            found.append((pair, _after_odd_count(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
 
 
@@ -215,7 +215,7 @@ def _moments_of_exchange(
     return (saved > _MIN_SAVED_M) & (other.sum(-1) < _MAX_STEP_RATIO * same.sum(-1))
 
 
-def _odd_exchanges(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
+def _after_odd_count(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
     """Return a mask of frames after an odd number of exchanges; empty after too many."""
     odd = np.cumsum(exchanges) % 2 == 1
     return odd if exchanges.sum() <= max(2, len(exchanges) // 8) else np.zeros_like(odd)
@@ -267,7 +267,7 @@ def misplaced_points(
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
     if not points.are_joints:
         displaced |= _displaced_on_one_side(points, offset)
-    unreached = out_of_reach(without_implausible(points), _OFFSET_JOINTS)
+    unreached = joints_of_impossible_bones(without_implausible(points), _OFFSET_JOINTS)
     steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
     hidden = np.zeros_like(points.visible)
     for point in np.flatnonzero(points.visible.any(0)):
@@ -333,7 +333,7 @@ def without_outliers(
     kept = points.without(far)
     if share < _REPORTED_SHARE:
         return kept, None
-    joints = chosen(points.names, np.any(far, axis=0))
+    joints = flagged(points.names, np.any(far, axis=0))
     return kept, Finding(
         "outliers",
         f"{100 * share:.3g} % of the visible positions are more than {limit:.2f} m from the body "

@@ -157,7 +157,7 @@ def support_findings(
         ((above > _MIN_SEAT_LEGS) & (above < _MAX_SEAT_LEGS), "has its pelvis low over its feet",
          "sitting, kneeling, squatting or lying"),
     )  # fmt: skip
-    found = _uneven_ground(movement)
+    found = _uneven_ground_findings(movement)
     for resting, what, how in rests:
         if frames := stretches(resting, np.nextafter(_MIN_REST_S * movement.fps, np.inf)):
             seconds = sum(last - first + 1 for first, last in frames) / movement.fps
@@ -169,7 +169,7 @@ def support_findings(
     return found
 
 
-def _uneven_ground(movement: Movement) -> list[Finding]:
+def _uneven_ground_findings(movement: Movement) -> list[Finding]:
     """Return a finding if feet stand at several heights."""
     lower, rows = movement.sole_heights.argmin(1), np.arange(movement.frames)
     height = movement.sole_heights[rows, lower]

@@ -184,7 +184,7 @@ def relative_body_size(points: NamedPoints) -> float | None:
     return float(np.median(ratios)) if len(ratios) >= _MIN_PAIRS else None
 
 
-def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
+def joints_of_impossible_bones(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
     """Return a mask of joints whose bones to all neighbours have lengths that no person's have.
 
     Args:

@@ -22,7 +22,7 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.images import Images
-from recon.diagnosis.rigs import TwoViewCorrection, best_agreement, corrected_rig, median_miss
+from recon.diagnosis.rigs import TwoViewCorrection, best_agreement, ray_distance, repaired_rig
 
 _MISS_STDS = 2.2
 """Largest distance, in standard deviations of the keypoints, between the rays of a good view and
@@ -63,21 +63,21 @@ def checked_against_each_other(images: Images) -> tuple[Images, Findings]:
         return images, NOTHING
     noise = noise_of_views(images)
     if len(images.names) == 2:
-        return _corrected_pair(images, noise)
+        return _two_views_corrected(images, noise)
     explained = partial(_one_view_corrected, noise=noise, causes=tuple(_CAUSES))
     return run_checks(
-        images, (corrected_rig, explained, partial(_without_contradicting_view, noise=noise))
+        images, (repaired_rig, explained, partial(_without_contradicting_view, noise=noise))
     )
 
 
 def mirroring_repaired(images: Images) -> tuple[Images, Findings]:
     """Mirror all images if they agree only when mirrored, as a front camera writes them."""
-    turned, said, sure = mirrored_together(images)
+    mirrored_images, said, sure = mirrored_together(images)
     if said is None:
         return images, NOTHING
     if sure:
         done = "they were mirrored back. Give the videos as they were filmed"
-        return turned, Findings((replace(said, message=f"{said.message}; {done}"),))
+        return mirrored_images, Findings((replace(said, message=f"{said.message}; {done}"),))
     return images, Findings(warnings=mirror_warnings(images))
 
 
@@ -93,18 +93,18 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
 
     One view is not enough, as it shows what the mirrored person would have done.
     """
-    floor = noise_of_views(images) * (
+    usual = noise_of_views(images) * (
         _PAIR_MISS_STDS if len(images.names) == 2 else _ALL_MISS_STDS
     )
     turned = mirrored(images, list(range(len(images.names))))
-    given, other = median_miss(images), median_miss(turned)
-    if given < max(floor, 0.002) or other > _MAX_MIRRORED_RATIO * given:
+    given, other = ray_distance(images), ray_distance(turned)
+    if given < max(usual, 0.002) or other > _MAX_MIRRORED_RATIO * given:
         return turned, None, False
     said = (
         f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
         f"by {100 * other:.1f} cm when left and right of all images are exchanged"
     )
-    return turned, Finding("mirrored", said, value=given), other <= floor
+    return turned, Finding("mirrored", said, value=given), other <= usual
 
 
 def single_view_explained(images: Images) -> tuple[Images, Findings]:
@@ -121,16 +121,16 @@ def _one_view_corrected(
     images: Images, noise: float, causes: tuple[Cause, ...]
 ) -> tuple[Images, Findings]:
     """Correct the one view after whose correction all views agree within the noise."""
-    floor, best = _MISS_STDS * noise, np.inf
+    usual, best = _MISS_STDS * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):
         odd = DoubtedView.of(images, v)
-        before = odd.miss()
-        if before < _SUSPECT_RATIO * floor or floor == 0:
+        before = odd.median_ray_distance()
+        if before < _SUSPECT_RATIO * usual or usual == 0:
             continue
-        rest = median_miss(images.view([k for k in range(len(images.names)) if k != v]))
-        chosen = _simplest_explanation(odd.explained(causes))
-        if max(rest, chosen.remains) <= floor and rest + chosen.remains < best:
+        rest = ray_distance(images.view([k for k in range(len(images.names)) if k != v]))
+        chosen = _simplest_explanation(odd.corrected_by_cause(causes))
+        if max(rest, chosen.remains) <= usual and rest + chosen.remains < best:
             code, what, _ = _CAUSES[chosen.cause]
             text = (
                 f"{name} contradicts the other views by {100 * before:.1f} cm, and by "
@@ -187,21 +187,21 @@ _CAUSES: dict[Cause, tuple[Code, str, str]] = {
 def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, Findings]:
     """Leave out a contradicting view (or stretches of it) if the others agree, else warn."""
     views = range(len(images.names))
-    rest = [median_miss(images.view([k for k in views if k != v])) for v in views]
+    rest = [ray_distance(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))
     odd, name = DoubtedView.of(images, v), images.names[v]
-    before, agree = odd.miss(), 0 < rest[v] <= _MISS_STDS * noise
+    before, agree = odd.median_ray_distance(), 0 < rest[v] <= _MISS_STDS * noise
     hidden = np.zeros_like(images.seen)
     if before > _MIN_ODDS_M:
         hidden[v], frames, size = True, (), before
-        least = _simplest_explanation(odd.explained(tuple(_CAUSES)))
+        least = _simplest_explanation(odd.corrected_by_cause(tuple(_CAUSES)))
         clear = least.remains < _MAX_MIRRORED_RATIO * before
         hint = _CAUSES[least.cause][2] if clear else _OTHER_PERSON
         said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"
         left_out = f"{said}, while they agree with each other; it was left out. {hint}"
         warned = f"{said}. {hint}"
     else:
-        miss = odd.misses()
+        miss = odd.ray_distances()
         away = np.array([np.median(row[known]) if known.any() else 0.0
                          for row, known in zip(miss, np.isfinite(miss), strict=True)])  # fmt: skip
         hidden[v] = lasting(away > _STRETCH_MISS_M, round(_MIN_STRETCH_S * images.fps))[:, None]
@@ -221,16 +221,16 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
     return images, Findings(warnings=(found,))
 
 
-def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
+def _two_views_corrected(images: Images, noise: float) -> tuple[Images, Findings]:
     """Check two views for contradictions: clocks can be corrected, poses are only reported."""
-    given, floor = median_miss(images), _PAIR_MISS_STDS * noise
-    if given <= max(_SUSPECT_RATIO * floor, 0.002):
+    given, usual = ray_distance(images), _PAIR_MISS_STDS * noise
+    if given <= max(_SUSPECT_RATIO * usual, 0.002):
         return images, NOTHING
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
     timed = best_agreement(images, ("clock",))
     by, clear = _clock_shift_in_words(images, timed), timed.remains < _MAX_MIRRORED_RATIO * given
-    if clear and timed.remains <= floor:
+    if clear and timed.remains <= usual:
         text = (
             f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
             "time. Number the frames of all cameras from the same moment"
@@ -242,7 +242,7 @@ def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
     if both.remains < turned.remains / _SIMPLER_RATIO:
         turned = both
     code: Code = "view at odds"
-    if turned.remains <= floor and turned.remains < _MAX_MIRRORED_RATIO * given:
+    if turned.remains <= usual and turned.remains < _MAX_MIRRORED_RATIO * given:
         late = f"{_clock_shift_in_words(images, turned)} and " if turned.late else ""
         text = (
             f"{said}, and by {100 * turned.remains:.1f} cm if {late}one of the cameras is turned "

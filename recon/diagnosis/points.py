@@ -18,7 +18,7 @@ from recon.diagnosis.exact import (
     floor_finding,
     floor_height,
     repaired_copies,
-    repaired_held,
+    repaired_frozen,
     repaired_zeros,
     scale_findings,
 )
@@ -32,11 +32,11 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.misplaced import (
-    crossed_limbs,
     exchanged_moments,
     exchanged_pairs,
     exchanged_sides,
     exchanged_throughout,
+    limbs_maybe_exchanged,
     misplaced_points,
     without_outliers,
 )
@@ -76,7 +76,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     quick robust fit, exchanged pairs, points away from their place, outliers and the ground (only
     if `grounded`).
     """
-    exact = (repaired_zeros, repaired_copies, repaired_held)
+    exact = (repaired_zeros, repaired_copies, repaired_frozen)
     named, found = run_checks(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None, None
@@ -103,10 +103,10 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
 
 
 def _names_repaired(
-    named: NamedPoints, steady: NamedPoints, body: BodyModel
+    named: NamedPoints, without_outliers: NamedPoints, body: BodyModel
 ) -> tuple[NamedPoints, Findings]:
     """Exchange two points, or parts of both limbs, whose names are exchanged throughout."""
-    pairs = exchanged_names(steady, body)
+    pairs = exchanged_names(without_outliers, body)
     if not pairs:
         return named, NOTHING
     return exchanged_back(named, pairs, np.ones(len(named.visible), dtype=bool))
@@ -121,7 +121,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
         points: points without outliers.
         body: body model to be fitted.
     """
-    groups, always = crossed_limbs(points), np.ones(len(points.visible), dtype=bool)
+    groups, always = limbs_maybe_exchanged(points), np.ones(len(points.visible), dtype=bool)
     if (pair := exchanged_throughout(points)) is not None:
         groups.append((pair,))
     if not groups:
@@ -135,23 +135,23 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
 
 
 def _sides_repaired(
-    steady: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
+    named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
     """Decide by quick fits which naming of left and right is true throughout.
 
     Args:
-        steady: points with left and right exchanged in the frames `exchanged`.
+        named: points with left and right exchanged in the frames `exchanged`.
         exchanged: frames in which sides are exchanged relative to the first frame.
         body: body model to be fitted.
     """
-    order, given = steady.counterparts, without_implausible(steady).observation
+    order, given = named.counterparts, without_implausible(named).observation
     if all(k == other for k, other in enumerate(order)):
-        return steady, quick_fits([given], body)[0], NOTHING
-    opposite = steady.permuted(order, np.ones_like(exchanged))
+        return named, quick_fits([given], body)[0], NOTHING
+    opposite = named.permuted(order, np.ones_like(exchanged))
     fits = quick_fits([given, without_implausible(opposite).observation], body)
     best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _SIDES_RATIO))
     wrong = exchanged if best.points is given else ~exchanged
-    right, found = (steady if best.points is given else opposite), NOTHING
+    right, found = (named if best.points is given else opposite), NOTHING
     if wrong.all():
         said = Finding(
             "sides exchanged",

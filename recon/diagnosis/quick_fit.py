@@ -62,12 +62,12 @@ def smoothed(points: NamedPoints) -> NamedPoints:
 
 def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
     """Return the median of every coordinate in a window about each frame; NaN if unseen."""
-    every = max(int(_HALF_WINDOW_S * points.fps) // _MAX_HALF_FRAMES, 1)
-    half = max(int(_HALF_WINDOW_S * points.fps) // every, 1) * every
+    frame_step = max(int(_HALF_WINDOW_S * points.fps) // _MAX_HALF_FRAMES, 1)
+    half = max(int(_HALF_WINDOW_S * points.fps) // frame_step, 1) * frame_step
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    return finite_median(windows[..., ::every])
+    return finite_median(windows[..., ::frame_step])
 
 
 ROBUST_SCALE = 0.15

@@ -49,7 +49,7 @@ class Rays:
         matrix[~exists], vector[~exists] = np.eye(3), 0.0
         return np.linalg.solve(matrix, vector[..., None])[..., 0], exists
 
-    def miss(
+    def distances_from(
         self, points: Float[np.ndarray, "moments points 3"]
     ) -> Float[np.ndarray, "views moments points"]:
         """Return distances (m) of points from the rays."""

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from recon.diagnosis.explanations import (
     camera_centre,
-    robust_turns,
+    robust_rotations,
     shifted_in_time,
 )
 from recon.diagnosis.images import Images
@@ -187,7 +187,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         if not self.is_determined:
             return None
         start = self.images.pose[0, 0]
-        (late, pose), _ = minimise(self, self._best_offset(start), _OPTIONS)
+        (late, pose), _ = minimise(self, self._best_clock_and_pose(start), _OPTIONS)
         found = self._residuals(late, pose)
         if found.there.sum() < _MIN_KEYPOINTS:
             return None
@@ -198,7 +198,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         )
         covariance[unknown] = np.linalg.inv(normal[unknown])
         turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
-        values = np.concatenate(([late], turn, self._displacement(pose)))
+        values = np.concatenate(([late], turn, self._shift_of_centre(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
         if not both.any():
@@ -216,7 +216,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
     def _unknown_indices(self) -> list[int]:
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
-    def _displacement(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    def _shift_of_centre(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """Return the shift (m) of the camera's centre from the given one, along its axes."""
         return pose[:3, :3] @ (camera_centre(pose) - camera_centre(self.images.pose[0, 0]))
 
@@ -226,7 +226,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         """Return Hessian, descent direction and inflation, with the prior on the shift."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
-        slope[4:] -= self._displacement(x[1]) / SHIFT**2
+        slope[4:] -= self._shift_of_centre(x[1]) / SHIFT**2
         return normal, slope, inflation
 
     def model(self, x: _ClockAndPose, rows: Int[Tensor, " rows"]) -> Quadratic:
@@ -247,10 +247,10 @@ class ViewAlignment(Problem[_ClockAndPose]):
         step[self._unknown_indices] = steps[0].numpy()
         return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved_pose(x[1], step[1:4], step[4:])
 
-    def _best_offset(
+    def _best_clock_and_pose(
         self, pose: Float[np.ndarray, "4 4"]
     ) -> tuple[float, Float[np.ndarray, "4 4"]]:
-        """Return the clock offset at which the (rotated) view agrees best, and its pose."""
+        """Return the coarse clock offset (frames) and pose where the view fits the points best."""
         if "clock" not in self.parts:
             return 0.0, pose
         fps, moments = self.images.fps, self.images.pixels.shape[1]
@@ -280,7 +280,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         there = self.seen & exists & front
         if not there.any():
             return pose
-        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
+        turn = robust_rotations(ways[there][None], rays[there][None], there[there][None])[0]
         return _moved_pose(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
 
     def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":

@@ -55,31 +55,31 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection
     unknown = [k for part in parts for k in _UNKNOWN[part]]
     turns = _RayDistances(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
-    for late in _first_offsets(images) if "clock" in parts else (0.0,):
+    for late in _offsets_to_try(images) if "clock" in parts else (0.0,):
         values = np.array([late, 0.0, 0.0, 0.0])
         if turns.unknown:
             values, _ = minimise(turns, values, replace(_OPTIONS, max_iterations=2))
-        away = _median_size(_distances_of_rays(images, late, values[1:])[0])
+        away = _median_absolute(_distances_of_rays(images, late, values[1:])[0])
         if away < best[0]:
             best = (away, values)
-    most = max(abs(late) for late in _first_offsets(images))
+    most = max(abs(late) for late in _offsets_to_try(images))
     values, _ = minimise(_RayDistances(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted_in_time(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
-    return TwoViewCorrection(corrected, float(values[0]), angle, median_miss(corrected))
+    return TwoViewCorrection(corrected, float(values[0]), angle, ray_distance(corrected))
 
 
-def median_miss(images: Images) -> float:
+def ray_distance(images: Images) -> float:
     """Return the median distance (m) of rays from the points triangulated from them."""
     rays = Rays.of(images)
     points, exists = rays.triangulated()
     there = exists & (rays.weight > 0)
-    return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
+    return float(np.median(rays.distances_from(points)[there])) if there.any() else 0.0
 
 
-def _first_offsets(images: Images) -> Float[np.ndarray, " offsets"]:
+def _offsets_to_try(images: Images) -> Float[np.ndarray, " offsets"]:
     step = max(COARSE_STEP_S * images.fps, 1.0)
     count = int(min(MAX_LATE_S * images.fps, images.pixels.shape[1] / 2) / step)
     return np.arange(-count, count + 1) * step
@@ -107,7 +107,7 @@ def _distances_of_rays(
     return found
 
 
-def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
+def _median_absolute(away: Float[np.ndarray, "moments points"]) -> float:
     """Return the median absolute value of the non-zero distances."""
     there = away != 0
     return float(np.median(np.abs(away[there]))) if there.any() else np.inf
@@ -186,7 +186,7 @@ class CorrectedRig:
     """Corrections of different views after which the rays fit equally well."""
 
 
-def corrections(images: Images) -> CorrectedRig:
+def with_certain_corrections(images: Images) -> CorrectedRig:
     """Correct clocks and poses of cameras where the correction is certain.
 
     Views are corrected one after the other, as long as two views remain without a correction.
@@ -204,9 +204,9 @@ def corrections(images: Images) -> CorrectedRig:
     return CorrectedRig(images, applied)
 
 
-def corrected_rig(images: Images) -> tuple[Images, Findings]:
-    """Return the views after `corrections`, and these corrections as findings."""
-    found = corrections(images)
+def repaired_rig(images: Images) -> tuple[Images, Findings]:
+    """Return the views after `with_certain_corrections`, and these corrections as findings."""
+    found = with_certain_corrections(images)
     repairs = tuple(_finding_of_correction(images, one) for one in found.applied)
     if not found.undecided:
         return found.images, Findings(repairs)
@@ -259,11 +259,11 @@ def _simplest_correction(images: Images, given: ViewAlignment) -> ViewCorrection
     return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
-def _is_needed(found: ViewCorrection, part: Part, fps: float, least: float) -> bool:
-    large = found.degrees >= _MIN_TURN_DEG or found.metres >= _MIN_SHIFT_M
+def _is_needed(found: ViewCorrection, part: Part, fps: float, min_squared_stds: float) -> bool:
+    is_large = found.degrees >= _MIN_TURN_DEG or found.metres >= _MIN_SHIFT_M
     if part == "clock":
-        large = abs(found.late) / fps >= _MIN_CLOCK_S
-    return large and found.squared_deviations(part) >= least
+        is_large = abs(found.late) / fps >= _MIN_CLOCK_S
+    return is_large and found.squared_deviations(part) >= min_squared_stds
 
 
 def _finding_of_correction(images: Images, found: ViewCorrection) -> Finding:

@@ -85,10 +85,10 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
 
 
 def _sides_finding(
-    name: str, here: Bool[np.ndarray, " moments"], images: Images, *, sure: bool = True
+    name: str, exchanged: Bool[np.ndarray, " moments"], images: Images, *, sure: bool = True
 ) -> Finding:
-    throughout = bool(here[images.seen.any((0, 2))].all())
-    frames = () if throughout else stretches(here)
+    throughout = bool(exchanged[images.seen.any((0, 2))].all())
+    frames = () if throughout else stretches(exchanged)
     when = "throughout" if throughout else f"in {spans(frames)}"
     said = (
         f"left and right are exchanged {when}; they were given back their names. Detectors "
@@ -98,7 +98,7 @@ def _sides_finding(
         "each other's path. One view does not tell for sure, and they kept their names; look at "
         "these frames, cut them off (--between) or add a view"
     )
-    return Finding("sides exchanged", said, (), frames, float(here.mean())).of(name)
+    return Finding("sides exchanged", said, (), frames, float(exchanged.mean())).of_sensor(name)
 
 
 def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
@@ -119,7 +119,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
     if views > 1:
         rays = Rays.of(images.exchanged(flags))
         points, exists = rays.triangulated()
-        miss, there = rays.miss(points), exists & (rays.weight > 0)
+        miss, there = rays.distances_from(points), exists & (rays.weight > 0)
         for own, near, seen in zip(flags, miss, there, strict=True):
             if seen[own].any() and np.median(near[own][seen[own]]) > _MAX_MISS_M:
                 own[:] = False
@@ -137,7 +137,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
         for number in range(2 ** len(free))
     ])  # fmt: skip
     met = [_triangulated_under(images, state, images.counterparts) for state in states]
-    here = _costs_of_moments(met, states, images.sided[None])
+    here = _costs_of_states(met, states, images.sided[None])
     if views > 1:
         facing = [facing_agreement(images.points, points, exists) for points, exists, _ in met]
         here -= _BACKWARDS_COST * np.stack(facing, -1)
@@ -157,17 +157,17 @@ def _triangulated_under(
     named = images.exchanged(np.repeat(exchanged[:, None], moments, 1), order)
     rays = Rays.of(named)
     points, exists = rays.triangulated()
-    miss = np.minimum((rays.miss(points) / _MISS_STD_M) ** 2, _MAX_SQUARED_STDS)
+    miss = np.minimum((rays.distances_from(points) / _MISS_STD_M) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     return points, exists, counted * (len(exchanged) > 1)
 
 
-def _costs_of_moments(
-    met: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+def _costs_of_states(
+    triangulations: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     states: Bool[np.ndarray, "states views"],
     groups: Bool[np.ndarray, "groups points"],
 ) -> Float[np.ndarray, "groups moments states"]:
-    miss = np.stack([groups @ counted.T for *_, counted in met], -1)
+    miss = np.stack([groups @ counted.T for *_, counted in triangulations], -1)
     return miss + _EXCHANGED_COST * states.sum(-1)
 
 
@@ -185,18 +185,20 @@ def _costs_of_changes(
 
 
 def _cheapest_paths(
-    here: Float[np.ndarray, "groups moments states"],
-    between: Float[np.ndarray, "groups moments states states"],
+    state_costs: Float[np.ndarray, "groups moments states"],
+    change_costs: Float[np.ndarray, "groups moments states states"],
 ) -> Int[np.ndarray, "groups moments"]:
     """Return the state of every frame at the least total cost; state 0 if little is saved."""
-    paths = cheapest_path(torch.from_numpy(here), torch.from_numpy(between[:, 1:])).numpy()
+    paths = cheapest_path(
+        torch.from_numpy(state_costs), torch.from_numpy(change_costs[:, 1:])
+    ).numpy()
 
-    def cost(paths: Int[np.ndarray, "groups moments"]) -> Float[np.ndarray, " groups"]:
+    def cost_of_paths(paths: Int[np.ndarray, "groups moments"]) -> Float[np.ndarray, " groups"]:
         group, moment = np.ogrid[: len(paths), : paths.shape[1]]
-        steps = between[group, moment[:, 1:], paths[:, :-1], paths[:, 1:]].sum(1)
-        return here[group, moment, paths].sum(1) + steps
+        steps = change_costs[group, moment[:, 1:], paths[:, :-1], paths[:, 1:]].sum(1)
+        return state_costs[group, moment, paths].sum(1) + steps
 
-    saves = cost(0 * paths) - cost(paths) >= _MIN_SAVED_COST
+    saves = cost_of_paths(0 * paths) - cost_of_paths(paths) >= _MIN_SAVED_COST
     return np.where(saves[:, None], paths, 0)
 
 
@@ -215,14 +217,16 @@ def _costs_of_steps(
         for way, some in zip(away, images.seen & known, strict=True)
     ])  # fmt: skip
 
-    def cost(there: np.ndarray, known: np.ndarray) -> np.ndarray:
+    def cost_of_prediction(there: np.ndarray, known: np.ndarray) -> np.ndarray:
         away = (images.pixels - there) / images.scale[..., None, None]
         squared = np.square(away / typical[:, None, None, None]).sum(-1)
         both = images.seen & known
         counted = both & both[:, :, order] & (order != np.arange(len(order)))
         return np.where(counted, np.minimum(squared, _MAX_SQUARED_STDS), 0.0)
 
-    return cost(before, known), cost(before[:, :, order], known[:, :, order])
+    return cost_of_prediction(before, known), cost_of_prediction(
+        before[:, :, order], known[:, :, order]
+    )
 
 
 def repaired_by_rays(images: Images) -> tuple[Images, Findings]:
@@ -249,7 +253,7 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         turned[own], groups = own[:, ::-1], np.isin(order, own) & (order == own[:, :1])
         groups[np.arange(len(own)), own[:, 1]] = True
         met = [_triangulated_under(images, state, turned) for state in states]
-        here = _costs_of_moments(met, states, groups)
+        here = _costs_of_states(met, states, groups)
         paths = _cheapest_paths(here, _costs_of_changes(images, states, turned, groups))
         for pair, path, cost in zip(pairs, paths, here, strict=True):
             for v in range(views):
@@ -264,9 +268,9 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
     if views == 2 and always:
         other = [replace(one, view=1 - one.view) if one in always else one for one in found]
 
-        def facing(some: list[ExchangedPair]) -> float:
+        def facing_of(some: list[ExchangedPair]) -> float:
             met = Rays.of(exchanged_back(images, some)).triangulated()
             return float(facing_agreement(images.points, *met).mean())
 
-        found = max(found, other, key=facing)
+        found = max(found, other, key=facing_of)
     return found

@@ -76,17 +76,17 @@ def bone_noise(points: NamedPoints) -> float | None:
 
 
 def velocity_changes(
-    places: Float[np.ndarray, "*views moments points dims"],
+    positions: Float[np.ndarray, "*views moments points dims"],
 ) -> Float[np.ndarray, "*views moments points"]:
     """Return the distance of each frame's step from the mean of the steps before and after.
 
     It is NaN at the ends, and where a point is not seen in all four frames.
 
     Args:
-        places: positions of the points; NaN where not seen.
+        positions: positions of the points; NaN where not seen.
     """
-    out = np.full(places.shape[:-1], np.nan)
-    step = np.diff(places, axis=-3)
+    out = np.full(positions.shape[:-1], np.nan)
+    step = np.diff(positions, axis=-3)
     around = (step[..., :-2, :, :] + step[..., 2:, :, :]) / 2
     out[..., 2:-1, :] = np.linalg.norm(step[..., 1:-1, :, :] - around, axis=-1)
     return out

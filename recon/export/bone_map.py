@@ -118,12 +118,12 @@ def map_bones(
     if lacking:
         raise ReconError(
             f"{path}: no bones were found for {', '.join(lacking)}. Name them in a file for "
-            f'--bones, as left_knee = "bone"; its bones are {_names_of_bones(tree)}'
+            f'--bones, as left_knee = "bone"; its bones are {_listed_bone_names(tree)}'
         )
     return _completed_map(tree, found, tuple(by_tree), path)
 
 
-def _names_of_bones(tree: Tree) -> str:
+def _listed_bone_names(tree: Tree) -> str:
     names = [tree.names[k] for k in sorted(tree.joints)]
     more = f" and {len(names) - 60} more" if len(names) > 60 else ""
     return ", ".join(f"{name!r:.40}" for name in names[:60]) + more
@@ -138,10 +138,10 @@ def _completed_map(
         ReconError: when the bones are not connected as in a body.
     """
     legs, arms = ([found[f"{s}_{joint}"] for s in SIDES] for joint in ("hip", "shoulder"))
-    hips = found.get("pelvis", tree.common([*legs, found["head"]]))
-    chest = tree.common(arms)
-    neck_base = tree.common([*arms, found["head"]])
-    spine = tree.between(hips, chest) if hips >= 0 else []
+    hips = found.get("pelvis", tree.lowest_common_ancestor([*legs, found["head"]]))
+    chest = tree.lowest_common_ancestor(arms)
+    neck_base = tree.lowest_common_ancestor([*arms, found["head"]])
+    spine = tree.path_below(hips, chest) if hips >= 0 else []
     needed = {"pelvis": hips, "the node above both arms": chest}
     if not spine or neck_base < 0:
         lost = [name for name, node in needed.items() if node < 0] or ["spine"]
@@ -152,7 +152,7 @@ def _completed_map(
         )
     nodes: dict[str, int] = {"pelvis": hips, **found}
     for side, arm in zip(SIDES, arms, strict=True):
-        between = tree.between(chest, arm)[:-1]
+        between = tree.path_below(chest, arm)[:-1]
         named = [k for k in between if any(word in tree.names[k].lower() for word in _CLAVICLES)]
         if between and f"{side}_collar" not in nodes:
             nodes[f"{side}_collar"] = (named or between)[-1]
@@ -161,7 +161,7 @@ def _completed_map(
         for side in SIDES:
             for above, below in pairwise(limb):
                 a, b = nodes[f"{side}_{above}"], nodes[f"{side}_{below}"]
-                if not tree.between(a, b):
+                if not tree.path_below(a, b):
                     raise ReconError(
                         f"{path}: {side}_{below} is {tree.names[b]!r:.40}, which does not lie "
                         f"below {tree.names[a]!r:.40}, the {side}_{above}. Name the right bones "
@@ -169,7 +169,7 @@ def _completed_map(
                     )
     for side in SIDES:
         toes = f"{side}_foot"
-        if toes in nodes and not tree.between(nodes[f"{side}_ankle"], nodes[toes]):
+        if toes in nodes and not tree.path_below(nodes[f"{side}_ankle"], nodes[toes]):
             del nodes[toes]
     used = [nodes[name] for name in chain]
     if len(set(used)) < len(used):
@@ -179,7 +179,7 @@ def _completed_map(
             "name the right bones in a file for --bones"
         )
     top = neck_base if neck_base in spine else chest
-    neck = tuple(tree.between(top, nodes["head"])[:-1])
+    neck = tuple(tree.path_below(top, nodes["head"])[:-1])
     chains = {"spine1", "spine2", "spine3", "neck"}
     kept = {
         joint: nodes[joint]
@@ -207,7 +207,7 @@ def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
             count = "no node" if not nodes else f"{len(nodes)} nodes"
             raise ReconError(
                 f"{given}: {joint} = {name!r:.40}, but {count} of the character has this name; "
-                f"its bones are {_names_of_bones(tree)}"
+                f"its bones are {_listed_bone_names(tree)}"
             )
         found[joint] = nodes[0]
     return found
@@ -258,10 +258,12 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     Raises:
         ReconError: when the names of two bones mean the same joint.
     """
-    told = {k: _side_and_words(tree.names[k]) for k in sorted(tree.joints)}
-    told = {k: one for k, one in told.items() if not _HELPER_WORDS & set(one[1])}
+    side_and_words = {k: _side_and_words(tree.names[k]) for k in sorted(tree.joints)}
+    side_and_words = {
+        k: one for k, one in side_and_words.items() if not _HELPER_WORDS & set(one[1])
+    }
     candidates: dict[str, list[tuple[int, int, int]]] = {}
-    for node, (side, words) in told.items():
+    for node, (side, words) in side_and_words.items():
         trailing = 0
         while words and words[-1].lstrip("0") == "1":
             words, trailing = words[:-1], trailing + 1
@@ -274,10 +276,10 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
                     row = (cut + trailing, keys.index(key), node)
                     candidates.setdefault(f"{side}_{joint}", []).append(row)
     found: dict[str, int] = {}
-    numbered = [k for k, (_, words) in told.items() if words[:-1] == ["spine"]]
+    numbered = [k for k, (_, words) in side_and_words.items() if words[:-1] == ["spine"]]
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
-        found["head"] = max(numbered, key=lambda k: len(tree.path(k)))
+        found["head"] = max(numbered, key=lambda k: len(tree.path_to_root(k)))
     # ankles choose first: a bone called foot is the ankle if no other bone is, else maybe the toes
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
@@ -285,7 +287,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
             continue
         best = min(row[:2] for row in free)
         nodes = [node for *how, node in free if tuple(how) == best]
-        top = [k for k in nodes if not set(tree.path(k)[1:]) & set(nodes)]
+        top = [k for k in nodes if not set(tree.path_to_root(k)[1:]) & set(nodes)]
         if len(top) > 1:
             both = " and ".join(f"{tree.names[k]!r:.40}" for k in top[:2])
             raise ReconError(
@@ -295,17 +297,17 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
         found[joint] = top[0]
     for side in SIDES:
         if f"{side}_wrist" in found:
-            found |= _finger_joints(tree, found[f"{side}_wrist"], side, told)
+            found |= _finger_joints(tree, found[f"{side}_wrist"], side, side_and_words)
     return found
 
 
 def _finger_joints(
-    tree: Tree, hand: int, side: str, told: Mapping[int, tuple[str, list[str]]]
+    tree: Tree, hand: int, side: str, side_and_words: Mapping[int, tuple[str, list[str]]]
 ) -> dict[str, int]:
     """Find the finger joints of one hand, by names and by their order along the fingers."""
     rows: dict[str, list[tuple[int, int]]] = {finger: [] for finger in FINGERS}
-    for node, (_, words) in told.items():
-        if node == hand or not (below := tree.between(hand, node)):
+    for node, (_, words) in side_and_words.items():
+        if node == hand or not (below := tree.path_below(hand, node)):
             continue
         named = {_FINGER_WORDS[word] for word in words if word in _FINGER_WORDS}
         if len(named) == 1:

@@ -17,22 +17,22 @@ class Tree:
     joints: frozenset[int]
     """Nodes that skins use as joints."""
 
-    def path(self, node: int) -> list[int]:
+    def path_to_root(self, node: int) -> list[int]:
         """Return a node and its ancestors, up to the root."""
         found = [node]
         while (parent := self.parents[found[-1]]) >= 0:
             found.append(parent)
         return found
 
-    def common(self, nodes: Sequence[int]) -> int:
+    def lowest_common_ancestor(self, nodes: Sequence[int]) -> int:
         """Return the lowest common ancestor of nodes, maybe one of them; -1 if there is none."""
-        first, *others = (self.path(node) for node in nodes)
+        first, *others = (self.path_to_root(node) for node in nodes)
         rest = [set(one) for one in others]
         return next((one for one in first if all(one in above for above in rest)), -1)
 
-    def between(self, top: int, node: int) -> list[int]:
+    def path_below(self, top: int, node: int) -> list[int]:
         """Return the path from a child of `top` down to `node`; empty unless below `top`."""
-        path = self.path(node)
+        path = self.path_to_root(node)
         return path[: path.index(top)][::-1] if top in path else []
 
 
@@ -53,12 +53,14 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
     high = places[leaves, 1]
     reach = np.ptp(places[joints, 1])
     low = [k for k, y in zip(leaves, high, strict=True) if y <= high.min() + 0.12 * reach]
-    hips = tree.common(low)
-    branches = [[k for k in low if child in tree.path(k)] for child in children.get(hips, ())]
-    feet = [max(ends, key=lambda k: len(tree.path(k))) for ends in branches if ends]
+    hips = tree.lowest_common_ancestor(low)
+    branches = [
+        [k for k in low if child in tree.path_to_root(k)] for child in children.get(hips, ())
+    ]
+    feet = [max(ends, key=lambda k: len(tree.path_to_root(k))) for ends in branches if ends]
     if len(feet) != 2:
         return {}
-    legs = [[k for k in tree.between(hips, foot) if k in tree.joints] for foot in feet]
+    legs = [[k for k in tree.path_below(hips, foot) if k in tree.joints] for foot in feet]
     rest = [k for k in leaves if k not in low]
     aside = places[feet[0]] - places[feet[1]]
     aside = aside / max(float(np.linalg.norm(aside)), 1e-9)
@@ -68,9 +70,9 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
     if len(arms) < 2 or arms[0] == arms[1] or not middle:
         return {}
     top = max(middle, key=lambda k: places[k, 1])
-    chest = tree.common(arms)
+    chest = tree.lowest_common_ancestor(arms)
     found: dict[str, int] = {}
-    head = tree.between(chest, top)
+    head = tree.path_below(chest, top)
     if not head:
         return {}
     # the last bone of a longer chain is the tip of the head, not its joint
@@ -84,7 +86,7 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
         side = "left" if (left @ aside > 0) == (number == 0) else "right"
         found |= dict(zip([f"{side}_{j}" for j in ("hip", "knee", "ankle", "foot")], chain,
                           strict=False)) if len(chain) > 2 else {}  # fmt: skip
-        arm = _arm_joints(tree, tree.between(chest, arms[number]), children, places)
+        arm = _arm_joints(tree, tree.path_below(chest, arms[number]), children, places)
         names = [f"{side}_{j}" for j in ("collar", "shoulder", "elbow", "wrist")]
         found |= {name: node for name, node in zip(names, arm, strict=False) if node >= 0}
     return found

@@ -12,7 +12,7 @@ from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
-from recon.export.skeleton import rest_offsets
+from recon.export.skeleton import offsets_from_parents
 from recon.formats.replacing import write_text
 from recon.mocap.recording import SkeletonRecording
 
@@ -30,7 +30,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
-    tips = np.stack([_end_of_bone(joint, rest[joint], motion, body) for joint in last])
+    tips = np.stack([_vector_to_tip(joint, rest[joint], motion, body) for joint in last])
     positions = posed.joints.detach().double().cpu().numpy()
     orientations = posed.orientations.detach().double().cpu().numpy()
     ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
@@ -38,7 +38,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
         name=name,
         joint_names=(*JOINTS, *(f"{JOINTS[joint]}_end" for joint in last)),
         parents=(*PARENTS, *last),
-        rest_offsets=np.concatenate((rest_offsets(rest), tips)),
+        rest_offsets=np.concatenate((offsets_from_parents(rest), tips)),
         positions=np.concatenate((positions, ends), axis=1),
         orientations=np.concatenate((orientations, orientations[:, last]), axis=1),
         fps=motion.fps,
@@ -73,15 +73,20 @@ def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> Skelet
     )  # fmt: skip
 
 
-def _end_of_bone(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
+def _vector_to_tip(
+    joint: int, joint_position: np.ndarray, motion: Motion, body: BodyModel
+) -> np.ndarray:
     """Return the vector from a joint to the farthest vertex of its bone at rest, metres.
 
     The vector is zero where the bone carries no skin.
     """
-    own = (body.weights.argmax(-1) == joint).nonzero()[:, 0]
-    if len(own) == 0:
+    vertices_of_bone = (body.weights.argmax(-1) == joint).nonzero()[:, 0]
+    if len(vertices_of_bone) == 0:
         return np.zeros(3)
-    vertices = body.rest_vertices(motion.shape, own).detach().double().cpu().numpy() - place
+    vertices = (
+        body.rest_vertices(motion.shape, vertices_of_bone).detach().double().cpu().numpy()
+        - joint_position
+    )
     return vertices[np.linalg.norm(vertices, axis=-1).argmax()]
 
 
@@ -114,7 +119,7 @@ def write_bvh(
     parents = recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()
 
-    def describe(joint: int, indent: str) -> None:
+    def describe_joint(joint: int, indent: str) -> None:
         parent = parents[joint]
         children = [k for k, above in enumerate(parents) if above == joint]
         rest = offsets[joint] if parent >= 0 else np.zeros(3)
@@ -141,12 +146,12 @@ def write_bvh(
             warnings.simplefilter("ignore", UserWarning)
             columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
         for child in children:
-            describe(child, indent + "\t")
+            describe_joint(child, indent + "\t")
         lines.append(f"{indent}}}")
 
     for joint, parent in enumerate(parents):
         if parent < 0:
-            describe(joint, "")
+            describe_joint(joint, "")
     values = np.concatenate(columns, axis=1)
     row = " ".join([f"%.{decimals}f"] * values.shape[1])
     lines.extend(("MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / recording.fps:.8f}"))

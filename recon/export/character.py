@@ -15,7 +15,7 @@ from recon.core.errors import FormatError, ReconError
 from recon.export.bone_map import BoneMap, map_bones
 from recon.export.bone_tree import Tree
 from recon.export.glb_file import GltfFile, normalised
-from recon.export.nodes import chained, joints_of, nodes_of, parents_first
+from recon.export.nodes import joints_of, parents_first, transforms_to_scene, tree_and_transforms
 
 _UNEVEN = 0.01
 """Greatest relative difference of the scales along a bone's axes that is accepted."""
@@ -50,15 +50,15 @@ class Character:
             ValueError: when it is damaged, has no skin, or no bones of a person are found.
         """
         file = GltfFile.read(path)
-        tree, local = nodes_of(file)
+        tree, local = tree_and_transforms(file)
         order = parents_first(tree.parents, path)
-        world = chained(tree.parents, order, local)
+        world = transforms_to_scene(tree.parents, order, local)
         places = world[:, :3, 3]
         found = map_bones(tree, places, file.document, path, bones)
         reference, warnings = world, tuple[str, ...]()
         extensions = file.document.get("extensions")
         if not isinstance(extensions, dict) or not {"VRM", "VRMC_vrm"} & set(extensions):
-            bound = _bind_pose(file, tree, order, local, found)
+            bound = _node_transforms_at_binding(file, tree, order, local, found)
             if bound is None:
                 warnings = (
                     f"{path}: the pose in which the skin was bound cannot be read; its rest pose "
@@ -76,7 +76,7 @@ class Character:
         return parents_first(self.tree.parents, self.file.path)
 
     @property
-    def driven(self) -> list[int]:
+    def animated_nodes(self) -> list[int]:
         """Nodes that are animated, parents before children."""
         used = {*self.bones.nodes.values(), *self.bones.spine, *self.bones.neck}
         return [k for k in self.order if k in used]
@@ -87,7 +87,7 @@ class Character:
         Raises:
             ReconError: naming the bone.
         """
-        inner = {above for k in self.driven for above in self.tree.path(k)}
+        inner = {above for k in self.animated_nodes for above in self.tree.path_to_root(k)}
         for k in sorted(inner):
             part = self.world[k, :3, :3]
             sizes = np.linalg.norm(part, axis=0)
@@ -110,7 +110,7 @@ class Character:
                 )
 
     @cached_property
-    def frame(self) -> Float[np.ndarray, "3 3"]:
+    def rotation_to_body_axes(self) -> Float[np.ndarray, "3 3"]:
         """Rotation from `reference` to the body model's axes: x to its left, y up, z ahead."""
         nodes, place = self.bones.nodes, self.reference[:, :3, 3]
         legs = place[[nodes["left_hip"], nodes["right_hip"]]]
@@ -127,19 +127,21 @@ class Character:
         return np.stack((aside, up, np.cross(aside, up)))
 
     @cached_property
-    def world_turns(self) -> Float[Tensor, "nodes 3 3"]:
+    def rotations_in_file(self) -> Float[Tensor, "nodes 3 3"]:
         """Rotation of every node to the scene, as the file has it."""
-        return _rotations(self.world)
+        return _rotations_without_scales(self.world)
 
     @cached_property
-    def turns(self) -> Float[Tensor, "nodes 3 3"]:
+    def rest_rotations(self) -> Float[Tensor, "nodes 3 3"]:
         """Rotation of every node in the rest pose, from its axes to the body model's."""
-        return torch.from_numpy(self.frame) @ _rotations(self.reference)
+        return torch.from_numpy(self.rotation_to_body_axes) @ _rotations_without_scales(
+            self.reference
+        )
 
     @cached_property
-    def places(self) -> Float[np.ndarray, "nodes 3"]:
+    def rest_positions(self) -> Float[np.ndarray, "nodes 3"]:
         """Positions of all nodes in the rest pose, in body-model axes and lengths of the scene."""
-        return self.reference[:, :3, 3] @ self.frame.T * self.scale
+        return self.reference[:, :3, 3] @ self.rotation_to_body_axes.T * self.scale
 
     @cached_property
     def scale(self) -> float:
@@ -165,21 +167,21 @@ class Character:
         Multiplied by the scale of the node they are in lengths of the scene. There are none where
         the mesh is compressed.
         """
-        bearer: dict[int, int] = {}
-        driven = set(self.driven)
+        bone_of_node: dict[int, int] = {}
+        driven = set(self.animated_nodes)
         for k in self.order:
             above = self.tree.parents[k]
-            bearer[k] = k if k in driven else bearer.get(above, -1)
+            bone_of_node[k] = k if k in driven else bone_of_node.get(above, -1)
         found: dict[int, list[np.ndarray]] = {}
         for joints, binds, places, own in self._skinned_parts():
             for slot in np.unique(own):
                 node = joints[slot]
-                if bearer[node] < 0:
+                if bone_of_node[node] < 0:
                     continue
                 points = places[own == slot] @ binds[slot, :3, :3].T + binds[slot, :3, 3]
-                back = np.linalg.inv(self.world[bearer[node]]) @ self.world[node]
+                back = np.linalg.inv(self.world[bone_of_node[node]]) @ self.world[node]
                 points = points @ back[:3, :3].T + back[:3, 3]
-                found.setdefault(bearer[node], []).append(points)
+                found.setdefault(bone_of_node[node], []).append(points)
         return {node: _outermost_points(np.concatenate(points)) for node, points in found.items()}
 
     def _skinned_parts(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
@@ -200,16 +202,18 @@ class Character:
         return parts
 
     @cached_property
-    def lowest(self) -> float | None:
-        """Height of the lowest vertex in the rest pose, as in `places`; None if it is unknown."""
-        up = self.frame[1] * self.scale
+    def lowest_height(self) -> float | None:
+        """Height of the lowest vertex in the rest pose, like `rest_positions`; None if unknown."""
+        up = self.rotation_to_body_axes[1] * self.scale
         if self.reference is not self.world and (box := self._bounds_of_skin()) is not None:
             corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
             return float((corners @ up).min())
-        low = [(self._at_rest(node, points) @ up).min() for node, points in self.skin.items()]
+        low = [
+            (self._posed_at_rest(node, points) @ up).min() for node, points in self.skin.items()
+        ]
         return float(min(low)) if low else None
 
-    def _at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
+    def _posed_at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
         return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
 
     def _bounds_of_skin(self) -> Float[np.ndarray, "2 3"] | None:
@@ -258,7 +262,7 @@ def _inverse_bind_matrices(
     return numbers[:count].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
 
 
-def _bind_pose(
+def _node_transforms_at_binding(
     file: GltfFile, tree: Tree, order: list[int], local: np.ndarray, bones: BoneMap
 ) -> Float[np.ndarray, "nodes 4 4"] | None:
     """Return nodes' transforms to the skin's axes when it was bound; None if they are unknown."""
@@ -282,11 +286,11 @@ def _bind_pose(
 
 
 def _vertices_and_joints(
-    file: GltfFile, one: Any, joints: int
+    file: GltfFile, primitive: Any, joints: int
 ) -> tuple[np.ndarray, Int[np.ndarray, " vertices"]] | None:
     """Read vertices, and the joint that moves each most; None where they cannot be read."""
-    attributes = one.get("attributes") if isinstance(one, dict) else None
-    extensions = one.get("extensions") if isinstance(one, dict) else None
+    attributes = primitive.get("attributes") if isinstance(primitive, dict) else None
+    extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
     if not isinstance(attributes, dict) or "KHR_draco_mesh_compression" in (extensions or {}):
         return None
     if not {"POSITION", "JOINTS_0", "WEIGHTS_0"} <= set(attributes):
@@ -315,13 +319,15 @@ def _outermost_points(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray
     return points[np.unique(best)]
 
 
-def _nearest_axis(way: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+def _nearest_axis(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """Return the coordinate axis, or its opposite, that is nearest to a direction."""
-    at = int(np.abs(way).argmax())
-    return np.eye(3)[at] * np.sign(way[at])
+    at = int(np.abs(direction).argmax())
+    return np.eye(3)[at] * np.sign(direction[at])
 
 
-def _rotations(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[Tensor, "nodes 3 3"]:
+def _rotations_without_scales(
+    matrices: Float[np.ndarray, "nodes 4 4"],
+) -> Float[Tensor, "nodes 3 3"]:
     """Extract the rotations of transforms, without scales; the identity for zeros."""
     parts = torch.from_numpy(matrices[:, :3, :3].copy())
     sizes = parts.norm(dim=-2, keepdim=True)

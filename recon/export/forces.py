@@ -23,7 +23,7 @@ from recon.physics.plates import MeasuredForces, forces_under_feet
 ENDINGS = (".mot", ".sto", ".csv")
 
 
-def check_ending(option: str, path: Path | None) -> None:
+def check_force_ending(option: str, path: Path | None) -> None:
     """Refuse a file of another kind than OpenSim's storage or CSV.
 
     Raises:
@@ -34,7 +34,7 @@ def check_ending(option: str, path: Path | None) -> None:
 
 
 @dataclass(frozen=True)
-class Loads:
+class GroundLoads:
     """Ground reaction forces that were estimated, and those that force plates measured."""
 
     estimated: GroundForces
@@ -57,7 +57,9 @@ class Loads:
         return {"decisions": decisions, "warnings": self.warnings, **self.tables()}
 
 
-def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path | None) -> Loads:
+def ground_loads(
+    file: MotionFile, body: BodyModel, mass: float | None, plates: Path | None
+) -> GroundLoads:
     """Estimate ground reaction forces of a motion, and read those of plates in its C3D file.
 
     Raises:
@@ -65,12 +67,12 @@ def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path
     """
     found = ground_forces(file, body, mass=mass)
     if plates is None:
-        return Loads(found, None, ())
+        return GroundLoads(found, None, ())
     read = read_force_plates(plates)
-    return Loads(found, forces_under_feet(read, found, file.motion), read.decisions)
+    return GroundLoads(found, forces_under_feet(read, found, file.motion), read.decisions)
 
 
-def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
+def write_forces(path: Path, motion: Motion, loads: GroundLoads) -> None:
     """Write ground reaction forces, a row per frame, right foot first; N, m, N m, y up.
 
     `ground_force_r_vx` is the force on the right foot, `ground_force_r_px` its centre of pressure,
@@ -101,7 +103,7 @@ def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
 
 
 def write_moments(
-    path: Path, motion: Motion, body: BodyModel, loads: Loads, model: OpenSimModel
+    path: Path, motion: Motion, body: BodyModel, loads: GroundLoads, model: OpenSimModel
 ) -> None:
     """Write moments of the leg joints, N m, with the names of OpenSim's inverse dynamics.
 
@@ -119,5 +121,5 @@ def write_moments(
 
 def _columns_by_axis(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:
     """Rotate vectors (time, 3) to y up; return their coordinates, keyed by name and axis."""
-    turned = vectors.double().cpu().numpy() @ to_z_up("y")
-    return {f"{name}{axis}": turned[:, k] for k, axis in enumerate("xyz")}
+    y_up = vectors.double().cpu().numpy() @ to_z_up("y")
+    return {f"{name}{axis}": y_up[:, k] for k, axis in enumerate("xyz")}

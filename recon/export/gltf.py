@@ -16,7 +16,7 @@ from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
 from recon.core.raster import differentiable_normals
 from recon.core.units import to_z_up
-from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
+from recon.export.skeleton import Skeleton, largest_skin_weights, one_clip, quaternions
 from recon.formats.replacing import replacing
 
 INFLUENCES = 4
@@ -84,14 +84,14 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
         buffers=[gltf.Buffer(byteLength=len(file.data))],
     )
     if avatar:
-        document.extensions = _humanoid(joint_names_in(skeleton.names, names))
+        document.extensions = _vrm_extensions(joint_names_in(skeleton.names, names))
         document.extensionsUsed = list(document.extensions)
     document.set_binary_blob(bytes(file.data))
     with replacing(path) as beside:
         document.save_binary(str(beside))
 
 
-def _humanoid(bones: Sequence[str]) -> dict[str, Any]:
+def _vrm_extensions(bones: Sequence[str]) -> dict[str, Any]:
     """Make the VRM 1.0 extensions of glTF that say which nodes are a person's bones."""
     humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
     told = {"specVersion": "1.0", "humanoid": humanoid}
@@ -135,10 +135,10 @@ class _Buffer:
         self, vertices: Float[Tensor, "vertices 3"], body: BodyModel, skeleton: Skeleton
     ) -> Any:
         """Append the body at rest with its skinning weights as a mesh."""
-        weights, joints = influences(skeleton.weights, INFLUENCES)
-        normals = _array(differentiable_normals(vertices.double(), body.faces))
+        weights, joints = largest_skin_weights(skeleton.weights, INFLUENCES)
+        normals = _float32_array(differentiable_normals(vertices.double(), body.faces))
         attributes = gltf.Attributes(
-            POSITION=self.add(_array(vertices), gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
+            POSITION=self.add(_float32_array(vertices), gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
             NORMAL=self.add(normals, gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
             JOINTS_0=self.add(
                 joints.astype(np.uint16), gltf.UNSIGNED_SHORT, gltf.VEC4, gltf.ARRAY_BUFFER
@@ -156,8 +156,8 @@ class _Buffer:
         """Append an animation of all joints' rotations and the pelvis' path."""
         times = (np.arange(motion.frames) / motion.fps).astype(np.float32)
         clock = self.add(times, gltf.FLOAT, gltf.SCALAR)
-        turns = _array(quaternions(skeleton.rotations.double()))
-        places = _array(motion.translation) + skeleton.offsets[0]
+        turns = _float32_array(quaternions(skeleton.rotations.double()))
+        places = _float32_array(motion.translation) + skeleton.offsets[0]
         tracks = [(0, "translation", places, gltf.VEC3)]
         tracks += [(j, "rotation", turns[:, j], gltf.VEC4) for j in range(turns.shape[1])]
         samplers, channels = [], []
@@ -171,5 +171,5 @@ class _Buffer:
         return gltf.Animation(name="motion", samplers=samplers, channels=channels)
 
 
-def _array(tensor: Tensor) -> np.ndarray:
+def _float32_array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().astype(np.float32)

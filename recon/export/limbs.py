@@ -47,7 +47,9 @@ class Contacts:
     def of(cls, points: Float[Tensor, "time points 3"], fps: float) -> "Contacts":
         """Find the contacts of a foot's or hand's skin points with the ground z = 0."""
         height = points[..., 2].amin(1)
-        steps = torch.nn.functional.pad(lowest_steps(points, points[..., 2]), (0, 0, 1, 0))
+        steps = torch.nn.functional.pad(
+            steps_of_lowest_point(points, points[..., 2]), (0, 0, 1, 0)
+        )
         speed = steps.norm(dim=-1) * fps
         near = (height < _NEAR) & (speed < _LEAVING)
         return cls(height, steps[:, :2], _runs_with_slow_frame(near, speed < MAXIMUM_SPEED))
@@ -103,16 +105,16 @@ class Limb:
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
         # an arm's tip includes the forearm, which may be below the wrist of a hand on the ground
         end = chain[1 if names == ARM else 2]
-        tip = tuple(k for k in rig.rest if end in tree.path(k))
+        tip = tuple(k for k in rig.rest if end in tree.path_to_root(k))
         return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)
 
     @property
     def length(self) -> float:
         """Length of its two bones together, in the scene."""
-        places = torch.from_numpy(self.rig.character.places)[list(self.chain)]
+        places = torch.from_numpy(self.rig.character.rest_positions)[list(self.chain)]
         return float(places.diff(dim=0).norm(dim=-1).sum())
 
-    def goal(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
+    def end_targets(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
         """Return target positions of the limb's end joint in the scene, (time, 3).
 
         While the person's foot stands, the character's lowest point moves as the person's does,
@@ -126,10 +128,10 @@ class Limb:
         ours = self.contacts.steps * min(ratio, 1.0)
         # x and y of the person are x and -z of the scene
         ours = torch.stack((ours[:, 0], -ours[:, 1]), -1)
-        moves = end.diff(dim=0) + lowest_steps(away, away[..., 1])
+        moves = end.diff(dim=0) + steps_of_lowest_point(away, away[..., 1])
         shift = _shifts_while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
         high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
-        near = envelope(stands.double(), fps)
+        near = upper_envelope(stands.double(), fps)
         if not self.is_arm:
             near = near.maximum(1 - _smooth_step((self.contacts.height - _NEAR) / _LOW))
         high = (high * near).maximum((ground - depth - end[:, 1]).clamp(min=0.0))
@@ -141,9 +143,9 @@ class Limb:
         if points.shape[1]:
             return points
         character, found = self.rig.character, []
-        low = character.lowest
+        low = character.lowest_height
         for node in self.tip:
-            depth = 0.0 if low is None or self.is_arm else character.places[node, 1] - low
+            depth = 0.0 if low is None or self.is_arm else character.rest_positions[node, 1] - low
             turn = posed[node][:, :3, :3] @ self.rig.rest[node].mT
             found.append(posed[node][:, :3, 3] - float(depth) * turn[..., 1])
         return torch.stack(found, 1)
@@ -156,7 +158,7 @@ class Limb:
         level = way[:, [0, 2]].square().sum(-1)
         return (way[:, 1] - (length.square() - level).clamp(min=0.0).sqrt()).clamp(min=0.0)
 
-    def reaching(
+    def rotations_reaching(
         self, posed: Posed, goal: Float[Tensor, "time 3"]
     ) -> dict[int, Float[Tensor, "time 3 3"]]:
         """Return world rotations of both bones that move the end to a goal, or as near as it gets.
@@ -166,14 +168,14 @@ class Limb:
         """
         top, middle, last = (posed[k][:, :3, 3] for k in self.chain)
         a, b = (middle - top).norm(dim=-1), (last - middle).norm(dim=-1)
-        way, was = goal - top, _unit(last - top)
+        way, was = goal - top, _unit_vectors(last - top)
         far = way.norm(dim=-1).clamp(max=_REACH * (a + b)).maximum((a - b).abs() / _REACH)
-        way = _unit(way)
+        way = _unit_vectors(way)
         side = middle - top
         if not self.is_arm:
             turn = posed[self.chain[0]][:, :3, :3] @ self.rig.rest[self.chain[0]].mT
             side = side + _BENT * (a + b)[:, None] * turn[..., 2]
-        side = _unit(side - (side * was).sum(-1, keepdim=True) * was)
+        side = _unit_vectors(side - (side * was).sum(-1, keepdim=True) * was)
         side = (so3.rotation_between(was, way) @ side[..., None])[..., 0]
         along = (a.square() + far.square() - b.square()) / (2 * far)
         out = (a.square() - along.square()).clamp(min=0.0).sqrt()
@@ -183,7 +185,7 @@ class Limb:
         return {self.chain[0]: first, self.chain[1]: second}
 
 
-def lowest_steps(
+def steps_of_lowest_point(
     points: Float[Tensor, "time points 3"], heights: Float[Tensor, "time points"]
 ) -> Float[Tensor, "steps 3"]:
     """Return the lowest point's displacement between frames, a mean over points of like height."""
@@ -192,7 +194,7 @@ def lowest_steps(
     return (between[..., None] * points.diff(dim=0)).sum(1)
 
 
-def envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
+def upper_envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
     """Return a smooth curve that is nowhere below `values`, and zero far from non-zero ones."""
     reach = max(1, round(_EASE / 2 * fps))
     rows = values[None, None]
@@ -202,7 +204,7 @@ def envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time
     return torch.nn.functional.avg_pool1d(high, 2 * reach + 1, 1)[0, 0]
 
 
-def _unit(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
+def _unit_vectors(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp(min=1e-9)
 
 
@@ -217,12 +219,12 @@ def _runs_with_slow_frame(
 
 
 def _shifts_while_standing(
-    steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, fades: bool
+    steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, blends: bool
 ) -> Float[Tensor, "time 2"]:
     """Return horizontal offsets of a foot that change by `steps` per frame while it stands.
 
     Their mean over every stance is zero. Between stances they are blended from one to the next;
-    with `fades` they go to zero there.
+    with `blends` they go to zero there.
     """
     found, frames = steps.new_zeros(len(stands), 2), len(stands)
     stretches = runs_of_true(stands.numpy())
@@ -234,7 +236,7 @@ def _shifts_while_standing(
         before = found[first - 1] if first else found.new_zeros(2)
         after = found[stop] if stop < frames else found.new_zeros(2)
         count = torch.arange(1, stop - first + 1, dtype=steps.dtype)[:, None]
-        if fades:
+        if blends:
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:

@@ -10,10 +10,16 @@ from recon.body.motion_files import load_motion_of
 from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.export.forces import Loads, check_ending, loads_of, write_forces, write_moments
+from recon.export.forces import (
+    GroundLoads,
+    check_force_ending,
+    ground_loads,
+    write_forces,
+    write_moments,
+)
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
-from recon.export.tables import markers_of, write_angles, write_mot
+from recon.export.tables import recorded_markers, write_angles, write_mot
 from recon.export.usd import write_usd
 from recon.formats.joint_table import write_joint_table
 from recon.formats.outputs import Output, OutputKind
@@ -131,8 +137,8 @@ def export_file(
     _refuse_without_output(
         {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
     )
-    check_ending("forces", forces)
-    check_ending("moments", moments)
+    check_force_ending("forces", forces)
+    check_force_ending("moments", moments)
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "
@@ -148,7 +154,7 @@ def export_file(
     file = load_motion_of(motion, own)
     moved, name = file.motion, motion.stem
 
-    loads = loads_of(file, own, mass, plates) if forces or moments else None
+    loads = ground_loads(file, own, mass, plates) if forces or moments else None
     told: list[Exported] = []
 
     def write_gltf(path: Path) -> None:
@@ -166,7 +172,7 @@ def export_file(
         return None
 
     def write_markers(path: Path) -> None:
-        write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
+        write_trc(path, recorded_markers(moved, own, markers, name), unit=unit, up=up)
 
     def write_meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
@@ -184,12 +190,12 @@ def export_file(
         (
             forces,
             OutputKind.FILE,
-            lambda path: write_forces(path, moved, cast(Loads, loads)),
+            lambda path: write_forces(path, moved, cast(GroundLoads, loads)),
         ),
         (
             moments,
             OutputKind.FILE,
-            lambda path: write_moments(path, moved, own, cast(Loads, loads), model),
+            lambda path: write_moments(path, moved, own, cast(GroundLoads, loads), model),
         ),
         (angles, OutputKind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (

@@ -24,7 +24,7 @@ def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
     return [file.index(one, count, "node") for one in joints]
 
 
-def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
+def tree_and_transforms(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
     """Read the tree of all nodes, and the transform of each to its parent.
 
     Raises:
@@ -94,7 +94,7 @@ def parents_first(parents: tuple[int, ...], path: Path) -> list[int]:
     return order
 
 
-def chained(
+def transforms_to_scene(
     parents: tuple[int, ...], order: list[int], local: Float[np.ndarray, "nodes 4 4"]
 ) -> Float[np.ndarray, "nodes 4 4"]:
     """Compute the transforms of nodes to the scene from those to their parents."""

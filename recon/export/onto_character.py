@@ -15,8 +15,8 @@ from recon.core.fingers import HAND_JOINTS, SIDES
 from recon.core.motion import Motion
 from recon.core.units import to_z_up
 from recon.export.character import Character
-from recon.export.limbs import ARM, LEG, Limb, PersonMotion, envelope
-from recon.export.rig import CharacterPose, CharacterRig, Posed, turns_of
+from recon.export.limbs import ARM, LEG, Limb, PersonMotion, upper_envelope
+from recon.export.rig import CharacterPose, CharacterRig, Posed, node_rotations
 from recon.export.skeleton import one_clip, quaternions
 
 _UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
@@ -61,8 +61,10 @@ def write_character(
     # in double precision, since steps of feet are small differences of large positions
     motion = one_clip(motion).to(dtype=torch.float64)
     read = Character.read(character, bones)
-    rig, carried, ratio = carry(motion, body.to(dtype=torch.float64), read, ground)
-    posed, turned = rig.posed(carried), _animated_nodes(read, motion)
+    rig, carried, ratio = retargeted_to_character(
+        motion, body.to(dtype=torch.float64), read, ground
+    )
+    posed, turned = rig.node_transforms(carried), _animated_nodes(read, motion)
     tracks: list[tuple[int, str, np.ndarray]] = []
     records: dict[int, dict[str, Any]] = {}
     for node in turned:
@@ -72,7 +74,7 @@ def write_character(
             del record["matrix"]
             records[node] = record
         above = read.tree.parents[node]
-        over = _parent_poses(rig, posed, node)
+        over = _poses_of_parent(rig, posed, node)
         local = over[:, :3, :3].mT @ posed[node][:, :3, :3]
         if node == rig.hips:
             back = np.eye(4) if above < 0 else np.linalg.inv(read.world[above])
@@ -86,45 +88,47 @@ def write_character(
     )
 
 
-def carry(
+def retargeted_to_character(
     motion: Motion, body: BodyModel, character: Character, ground: float
 ) -> tuple[CharacterRig, CharacterPose, float]:
     """Retarget a motion to a character; return rig, poses and the ratio of leg lengths.
 
     Every bone turns as the person's does, from the same rest pose. The middle of the hips follows
     the person's path, scaled by the ratio of the legs about its start. Then standing feet and
-    touching hands keep their contacts (`Limb.goal`) by inverse kinematics of the two bones above:
-    the hips sink where a leg is too short, and rise where other parts would be in the ground.
+    touching hands keep their contacts (`Limb.end_targets`) by inverse kinematics of the two bones
+    above: hips sink where a leg is too short, and rise where other parts would be in the ground.
     """
     rig, person = CharacterRig.of(character, motion, body), PersonMotion.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
-    turns = {node: up @ turn for node, turn in turns_of(character, motion, body).items()}
+    turns = {node: up @ turn for node, turn in node_rotations(character, motion, body).items()}
     legs = [Limb.of(rig, side, LEG, person) for side in SIDES]
     arms = [Limb.of(rig, side, ARM, person) for side in SIDES]
     nodes = character.bones.nodes
-    low = 0.0 if character.lowest is None else character.lowest
-    depth = float(np.mean([character.places[one.chain[2], 1] for one in legs])) - low
+    low = 0.0 if character.lowest_height is None else character.lowest_height
+    depth = float(np.mean([character.rest_positions[one.chain[2], 1] for one in legs])) - low
     ratio = (float(np.mean([leg.length for leg in legs])) + max(depth, 0.0)) / person.leg
     free = CharacterPose(turns, motion.translation * 0)
-    posed = rig.posed(free)
+    posed = rig.node_transforms(free)
     hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
     begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
     way = (begin + ratio * (person.middle - begin)) @ up.T
     # where the person's soles are below the ground, the character is raised by as much
     soles = torch.stack([one.contacts.height for one in legs]).amin(0)
-    raised = ratio * envelope((-soles).clamp(min=0.0), motion.fps)
+    raised = ratio * upper_envelope((-soles).clamp(min=0.0), motion.fps)
     free = replace(free, hips=way - hips + raised[:, None] * _UP)
     carried, feet, hands = free, *({k for one in two for k in one.tip} for two in (legs, arms))
     # raise the body where feet and hands are below the ground: first for both, then for feet alone
     for lifted in (feet | hands, feet, feet):
-        skin = rig.points(rig.posed(carried), [k for k in character.driven if k not in lifted])
+        skin = rig.points(
+            rig.node_transforms(carried), [k for k in character.animated_nodes if k not in lifted]
+        )
         if skin.shape[1]:
             sunk = (ground - skin[..., 1].amin(1)).clamp(min=0.0)
-            free = replace(free, hips=free.hips + envelope(sunk, motion.fps)[:, None] * _UP)
-        posed = rig.posed(free)
-        goals = [one.goal(posed, motion.fps, ratio, ground) for one in legs]
+            free = replace(free, hips=free.hips + upper_envelope(sunk, motion.fps)[:, None] * _UP)
+        posed = rig.node_transforms(free)
+        goals = [one.end_targets(posed, motion.fps, ratio, ground) for one in legs]
         short = [one.sink_needed(posed, goal) for one, goal in zip(legs, goals, strict=True)]
-        sinks = envelope(torch.stack(short).amax(0), motion.fps)
+        sinks = upper_envelope(torch.stack(short).amax(0), motion.fps)
         free = replace(free, hips=free.hips - sinks[:, None] * _UP)
         carried = _with_limbs_at_goals(rig, free, legs, motion.fps, ratio, ground)
         carried = _with_limbs_at_goals(rig, carried, arms, motion.fps, ratio, ground)
@@ -133,19 +137,19 @@ def carry(
 
 def _with_limbs_at_goals(
     rig: CharacterRig,
-    carried: CharacterPose,
+    pose: CharacterPose,
     limbs: list[Limb],
     fps: float,
     ratio: float,
     ground: float,
 ) -> CharacterPose:
     """Turn the limbs of a pose so that their ends reach their goals."""
-    posed, turns = rig.posed(carried), dict(carried.turns)
+    posed, turns = rig.node_transforms(pose), dict(pose.turns)
     for one in limbs:
-        goal = one.goal(posed, fps, ratio, ground)
-        for node, turn in one.reaching(posed, goal).items():
+        goal = one.end_targets(posed, fps, ratio, ground)
+        for node, turn in one.rotations_reaching(posed, goal).items():
             turns[node] = turn @ turns[node]
-    return replace(carried, turns=turns)
+    return replace(pose, turns=turns)
 
 
 def _animated_nodes(character: Character, motion: Motion) -> list[int]:
@@ -154,14 +158,14 @@ def _animated_nodes(character: Character, motion: Motion) -> list[int]:
         node for joint, node in character.bones.nodes.items()
         if motion.hands is None and joint in HAND_JOINTS
     }  # fmt: skip
-    return [node for node in character.driven if node not in idle]
+    return [node for node in character.animated_nodes if node not in idle]
 
 
-def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
+def _poses_of_parent(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
     """Return a node's parent's pose in every frame; nodes between animated ones stay at rest."""
     character = rig.character
-    path = character.tree.path(node)[1:]
-    rest = character.world_turns
+    path = character.tree.path_to_root(node)[1:]
+    rest = character.rotations_in_file
     if not path:
         return torch.eye(4, dtype=torch.float64).expand(len(posed[node]), 4, 4)
     driven = next((k for k in path if k in posed), None)
@@ -190,7 +194,7 @@ def _warnings(character: Character, motion: Motion) -> tuple[str, ...]:
             f"{path}: names tell nothing of {', '.join(character.bones.by_tree)}; these bones "
             "were found by the tree and their places: look at the table of bones"
         )
-    if character.lowest is None:
+    if character.lowest_height is None:
         found.append(
             f"{path}: the mesh is compressed; soles are taken to be at the joints of the feet"
         )

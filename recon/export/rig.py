@@ -44,11 +44,11 @@ class CharacterRig:
     @classmethod
     def of(cls, character: Character, motion: Motion, body: BodyModel) -> "CharacterRig":
         """Make the rig of a character in the rest pose of a body model."""
-        found = _to_rest_pose(character, motion, body)
-        rest = {node: turn @ character.turns[node] for node, turn in found.items()}
-        driven, shifts = set(character.driven), {}
-        for node in character.driven[1:]:
-            path = character.tree.path(node)
+        found = _rotations_to_body_rest_pose(character, motion, body)
+        rest = {node: turn @ character.rest_rotations[node] for node, turn in found.items()}
+        driven, shifts = set(character.animated_nodes), {}
+        for node in character.animated_nodes[1:]:
+            path = character.tree.path_to_root(node)
             above = next(k for k in path[1:] if k in driven)
             chain = np.eye(4)
             for k in path[: path.index(above)][::-1]:
@@ -62,17 +62,17 @@ class CharacterRig:
     @property
     def hips(self) -> int:
         """Number of the node of the hips."""
-        return self.character.driven[0]
+        return self.character.animated_nodes[0]
 
-    def posed(self, carried: CharacterPose) -> Posed:
+    def node_transforms(self, pose: CharacterPose) -> Posed:
         """Compute rotation and position of all animated nodes by forward kinematics."""
         found: Posed = {}
-        for node in self.character.driven:
-            place = carried.hips
+        for node in self.character.animated_nodes:
+            place = pose.hips
             if node in self.shifts:
                 above, shift = self.shifts[node]
                 place = found[above][:, :3, 3] + found[above][:, :3, :3] @ shift
-            found[node] = so3.rigid(carried.turns[node] @ self.rest[node], place)
+            found[node] = so3.rigid(pose.turns[node] @ self.rest[node], place)
         return found
 
     def points(self, posed: Posed, nodes: list[int]) -> Float[Tensor, "time points 3"]:
@@ -84,30 +84,32 @@ class CharacterRig:
         return torch.from_numpy(self.character.skin[node]) * _scale_of_node(self.character, node)
 
 
-def turns_of(
+def node_rotations(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "time 3 3"]]:
     """Return the world rotations since the rest pose that a motion gives to nodes, z up.
 
     A spine with another number of bones gets rotations interpolated along the body's spine.
     """
-    ours = body.pose(motion).orientations
+    joint_rotations = body.pose(motion).orientations
     bones = character.bones
-    found = {node: ours[:, joint_index(j)] for j, node in bones.nodes.items() if j in JOINTS}
+    found = {
+        node: joint_rotations[:, joint_index(j)] for j, node in bones.nodes.items() if j in JOINTS
+    }
     fingers = None if motion.hands is None else pose_fingers(motion, body)[1]
     for joint, node in bones.nodes.items():
         if joint in HAND_JOINTS:
-            wrist = ours[:, joint_index(f"{joint.partition('_')[0]}_wrist")]
+            wrist = joint_rotations[:, joint_index(f"{joint.partition('_')[0]}_wrist")]
             found[node] = wrist if fingers is None else fingers[:, HAND_JOINTS.index(joint)]
     for nodes, chain in (
         (bones.spine, ("pelvis", "spine1", "spine2", "spine3")),
         (bones.neck, ("spine3", "neck")),
     ):
-        steps = [ours[:, joint_index(joint)] for joint in chain]
+        steps = [joint_rotations[:, joint_index(joint)] for joint in chain]
         for k, node in enumerate(nodes):
             at = (k + 1) * (len(steps) - 1) / len(nodes)
             low = min(int(at), len(steps) - 2)
-            share = ours.new_full(ours.shape[:1], at - low)
+            share = joint_rotations.new_full(joint_rotations.shape[:1], at - low)
             found[node] = so3.interpolate(steps[low], steps[low + 1], share)
     return found
 
@@ -117,7 +119,7 @@ def _scale_of_node(character: Character, node: int) -> float:
     return float(np.linalg.norm(character.world[node, :3, :3], axis=0).mean())
 
 
-def _to_rest_pose(
+def _rotations_to_body_rest_pose(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "3 3"]]:
     """Find each animated node's rotation from the character's rest pose to the body model's.
@@ -126,23 +128,23 @@ def _to_rest_pose(
     body model's; hands are also aligned by knuckles, and the forearm takes half of that twist.
     Trunk, head and feet stay: in any rest pose a person stands upright with flat feet.
     """
-    nodes, eye = character.bones.nodes, torch.eye(3, dtype=torch.float64)
-    found = dict.fromkeys(character.driven, eye)
+    nodes, identity = character.bones.nodes, torch.eye(3, dtype=torch.float64)
+    found = dict.fromkeys(character.animated_nodes, identity)
     rest = body.rest_joints(motion.shape).double()
     ours = {joint: rest[k] for k, joint in enumerate(JOINTS)}
-    places = torch.from_numpy(character.places)
+    places = torch.from_numpy(character.rest_positions)
     offsets = dict(zip(HAND_JOINTS, finger_offsets(motion, body).double(), strict=False))
 
-    def turned(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
+    def turned_along(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
         theirs = places[nodes[end]] - places[nodes[start]]
         return so3.rotation_between(before @ theirs, way) @ before
 
     for side in SIDES:
         for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
-            turn = eye
+            turn = identity
             for start, end in pairwise(limb):
                 a, b = f"{side}_{start}", f"{side}_{end}"
-                turn = turned(a, b, ours[b] - ours[a], turn)
+                turn = turned_along(a, b, ours[b] - ours[a], turn)
                 found[nodes[a]] = turn
         fore = ours[f"{side}_wrist"] - ours[f"{side}_elbow"]
         elbow, wrist = nodes[f"{side}_elbow"], nodes[f"{side}_wrist"]
@@ -163,7 +165,7 @@ def _to_rest_pose(
             for k in (1, 2, 3):
                 a, b = f"{side}_{finger}{k}", f"{side}_{finger}{k + 1}"
                 if motion.hands is not None and a in nodes and b in nodes:
-                    turn = turned(a, b, offsets[b], turn)
+                    turn = turned_along(a, b, offsets[b], turn)
                 if a in nodes:
                     found[nodes[a]] = turn
     return found
@@ -177,11 +179,13 @@ def _hand_axes(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[T
     return torch.stack((x, torch.linalg.cross(z, x), z), -1)
 
 
-def _half_twist(turn: Float[Tensor, "3 3"], way: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+def _half_twist(
+    rotation: Float[Tensor, "3 3"], direction: Float[Tensor, "3"]
+) -> Float[Tensor, "3 3"]:
     """Return half of the twist that a rotation makes about a direction."""
-    axis = way / way.norm()
+    axis = direction / direction.norm()
     side = torch.linalg.cross(axis, torch.eye(3, dtype=axis.dtype)[int(axis.abs().argmin())])
     side = side / side.norm()
-    moved = turn @ side
+    moved = rotation @ side
     angle = torch.atan2(torch.linalg.cross(side, moved) @ axis, side @ moved)
     return so3.exp(0.5 * angle * axis)

@@ -39,7 +39,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
             batch axis.
     """
     motion = one_clip(motion)
-    gender = _gender(smplx)
+    gender = _gender_in_name(smplx)
     if gender is None:
         raise ReconError(
             f"{smplx}: expected a name with NEUTRAL, FEMALE or MALE in it, as SMPL-X files have: "
@@ -51,7 +51,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
             "programs of robots load SMPL-X"
         )
     target = BodyModel.load(smplx)
-    moved = on_body(motion, body, target)
+    moved = motion_on_body(motion, body, target)
     joints = target.pose(moved).joints
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
@@ -96,12 +96,12 @@ def _amass_arrays(
     }
 
 
-def _gender(path: Path) -> str | None:
+def _gender_in_name(path: Path) -> str | None:
     """Return the gender that the name of a body file states; None if it states none."""
     return next((one for one in _GENDERS if one in path.stem.lower()), None)
 
 
-def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
+def motion_on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     """Transfer a motion to another body at 30 Hz, with equal orientations and soles on z = 0.
 
     Args:
@@ -144,7 +144,9 @@ def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Motio
     target = BodyModel.load(onto)
     found = transfer(motion, body, target)
     moved = found.motion.replace(hands=motion.hands)
-    arrays = _amass_arrays(moved, target, len(load_smpl(onto).parents), _gender(onto) or "neutral")
+    arrays = _amass_arrays(
+        moved, target, len(load_smpl(onto).parents), _gender_in_name(onto) or "neutral"
+    )
     arrays |= {name: np.array(moved.fps) for name in ("mocap_framerate", "mocap_frame_rate")}
     save_arrays(path, arrays)
     return found

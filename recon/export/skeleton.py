@@ -25,7 +25,7 @@ def one_clip(motion: Motion) -> Motion:
     return motion.window(0, int(motion.valid.sum())).detach().to(device="cpu")
 
 
-def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
+def offsets_from_parents(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
     """Return the vector from parent to joint in the rest pose (root: from the origin), metres."""
     root = np.array(PARENTS)[:, None] < 0
     return rest - np.where(root, rest.dtype.type(0), rest[list(PARENTS)])
@@ -53,7 +53,7 @@ class Skeleton:
         rest = body.rest_joints(motion.shape).detach().float().numpy()
         binds = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
         binds[:, :3, 3] = -rest
-        offsets = rest_offsets(rest)
+        offsets = offsets_from_parents(rest)
         if motion.hands is None:
             return cls(JOINTS, PARENTS, offsets, motion.rotations, body.weights, binds)
         from recon.body.hands import finger_offsets, finger_skin  # imported only for fingers
@@ -70,7 +70,7 @@ class Skeleton:
         )  # fmt: skip
 
 
-def influences(
+def largest_skin_weights(
     weights: Float[Tensor, "vertices joints"], most: int | None = None
 ) -> tuple[Float[np.ndarray, "vertices some"], Int[np.ndarray, "vertices some"]]:
     """Select the largest skinning weights per vertex, scaled to sum to one, and their joints.

@@ -111,7 +111,7 @@ MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "cmu", "bsm"]
 """`joints` are the 22 joints of the body; the others stand in `assets/marker_sets.toml`."""
 
 
-def markers_of(
+def recorded_markers(
     motion: Motion, body: BodyModel, markers: MarkerSetName, name: str
 ) -> MarkerRecording:
     """Compute the positions of a marker set on the moving body in every frame of a motion.
@@ -131,7 +131,7 @@ def markers_of(
     if markers == "joints":
         labels, positions = JOINTS, posed.joints
     else:
-        points = BodyPoints.of_places(places_of(markers), body)
+        points = BodyPoints.of_places(body_places_of_markers(markers), body)
         if not bool(points.known.all()):
             raise ReconError(
                 f"markers of {markers!r} lie on the skin of the bundled body; on {body.name!r} "
@@ -150,7 +150,7 @@ def markers_of(
     )
 
 
-def places_of(markers: str) -> dict[str, BodyPlace]:
+def body_places_of_markers(markers: str) -> dict[str, BodyPlace]:
     """Return the place on the body of every marker of a marker set, keyed by label."""
     known = landmarks()
     return {

@@ -19,7 +19,7 @@ from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
+from recon.export.skeleton import Skeleton, largest_skin_weights, one_clip, quaternions
 from recon.formats.replacing import replacing
 
 SUFFIXES = (".usd", ".usda", ".usdc")
@@ -153,7 +153,7 @@ def _write_skin(
     mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([pxr.Gf.Vec3f(*_COLOUR)])
     mesh.CreateExtentAttr(_bounding_box(pxr, vertices))
-    weights, joints = influences(bones.weights)
+    weights, joints = largest_skin_weights(bones.weights)
     count = weights.shape[1]
     binding = pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])

@@ -51,7 +51,7 @@ class FollowedPoints:
     _shot: int = -1
     _next: int = 0
 
-    def step(self, image: UInt8[np.ndarray, "height width 3"], frame: int, shot: int) -> None:
+    def follow(self, image: UInt8[np.ndarray, "height width 3"], frame: int, shot: int) -> None:
         """Follow the points into the next picture, and detect new ones; begin anew at a cut."""
         scale = max(1.0, max(image.shape[:2]) / _LONGEST_SIDE)
         size = tuple(max(1, round(side / scale)) for side in image.shape[1::-1])
@@ -83,9 +83,9 @@ class FollowedPoints:
         return there, (found[:, 0] > 0) & (again[:, 0] > 0) & inside & returned
 
 
-def _optical_flow(one: Any, other: Any, places: np.ndarray) -> Any:
+def _optical_flow(image: Any, next_image: Any, places: np.ndarray) -> Any:
     return cv2.calcOpticalFlowPyrLK(
-        one, other, places, cast(Any, None), winSize=_WINDOW, maxLevel=_LEVELS
+        image, next_image, places, cast(Any, None), winSize=_WINDOW, maxLevel=_LEVELS
     )
 
 
@@ -103,7 +103,7 @@ def _new_corners(
     return np.zeros((0, 2), np.float32) if found is None else found[:, 0]
 
 
-def moving_background(seen: Background, people: Detections) -> tuple[Background | None, str]:
+def points_if_camera_moves(seen: Background, people: Detections) -> tuple[Background | None, str]:
     """Return points of the background if the camera moves, else None; and a note.
 
     The note, otherwise empty, says that too few points tell; the camera then counts as still.

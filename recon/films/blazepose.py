@@ -53,9 +53,9 @@ class Region:
     """Clockwise rotation of the square in the image, radians."""
 
     @classmethod
-    def of_points(cls, hips: Float[np.ndarray, "2"], rim: Float[np.ndarray, "2"]) -> "Region":
+    def of_points(cls, hips: Float[np.ndarray, "2"], top: Float[np.ndarray, "2"]) -> "Region":
         """Return the square around a person, given the mid hips and the top of the circle."""
-        up = rim - hips
+        up = top - hips
         angle = float(np.arctan2(up[0], -up[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)
 
@@ -120,7 +120,7 @@ class BlazePose:
         found: list[tuple[Region, float]] = []
         image_of_network = cut / np.float32(127.5) - np.float32(1.0)
         for points, score in detected_boxes(self._detector, image_of_network, self._anchors):
-            hips, rim = mapped(points[2:4] * _DETECTOR_SIDE - 0.5, to_image)
+            hips, rim = affinely_mapped(points[2:4] * _DETECTOR_SIDE - 0.5, to_image)
             found.append((Region.of_points(hips, rim), score))
         return found
 
@@ -130,9 +130,11 @@ class BlazePose:
         Those from the mirror image are mirrored back, with left and right exchanged.
         """
         cut = region.cut(image, _SIDE)
-        return self._pose(cut, region, mirror=False), self._pose(cut[:, ::-1], region, mirror=True)
+        return self._pose_in_cut(cut, region, mirror=False), self._pose_in_cut(
+            cut[:, ::-1], region, mirror=True
+        )
 
-    def _pose(self, cut: Image, region: Region, *, mirror: bool) -> Pose:
+    def _pose_in_cut(self, cut: Image, region: Region, *, mirror: bool) -> Pose:
         raw, score, heat = self._landmarks(cut / np.float32(255.0), (1,), (_HEAT, _HEAT, _POINTS))
         rows = raw.reshape(_POINTS, 5).astype(float)
         places = _refined_by_heatmap(rows[:, :2], heat)
@@ -141,7 +143,7 @@ class BlazePose:
             places = places * (-1, 1) + (_SIDE, 0)
             places[:LANDMARKS], sure = places[MIRRORED], sure[MIRRORED]
         inside: Bool[np.ndarray, " points"] = np.all((places > 0) & (places < _SIDE), axis=-1)
-        pixels = mapped(places - 0.5, region.to_image(_SIDE))
+        pixels = affinely_mapped(places - 0.5, region.to_image(_SIDE))
         return Pose(
             pixels=pixels[:LANDMARKS],
             visibility=sure[:LANDMARKS, 0],
@@ -173,7 +175,7 @@ def bundled_folder() -> Path:
 class Network:
     """A neural network that is read from a TensorFlow Lite file and run by LiteRT."""
 
-    def __init__(self, path: Path, first: tuple[int, ...]) -> None:
+    def __init__(self, path: Path, first_shape: tuple[int, ...]) -> None:
         from ai_edge_litert.interpreter import Interpreter
 
         try:
@@ -185,15 +187,15 @@ class Network:
         self._input = self._run.get_input_details()[0]["index"]
         outputs = sorted(self._run.get_output_details(), key=lambda one: one["name"], reverse=True)
         self._outputs = {tuple(one["shape"][1:].tolist()): one["index"] for one in outputs}
-        self._first = first
-        if first not in self._outputs:
+        self._first = first_shape
+        if first_shape not in self._outputs:
             raise ReconError(
-                f"{path}: expected a network of BlazePose with an output of {first}, got "
+                f"{path}: expected a network of BlazePose with an output of {first_shape}, got "
                 f"{', '.join(map(str, self._outputs))}"
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """Run the network on an image; return its outputs of the shapes `first` and `more`.
+        """Run the network on an image; return outputs of the first shape and of the shapes `more`.
 
         Of several outputs of one shape, the first by name is returned.
         """
@@ -220,7 +222,9 @@ def _sigmoid(logits: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-np.clip(logits.astype(float), -80, 80)))
 
 
-def mapped(points: Float[np.ndarray, "n 2"], affine: Float[np.ndarray, "2 3"]) -> np.ndarray:
+def affinely_mapped(
+    points: Float[np.ndarray, "n 2"], affine: Float[np.ndarray, "2 3"]
+) -> np.ndarray:
     """Return 2D points transformed by an affine map."""
     return points @ affine[:, :2].T + affine[:, 2]
 

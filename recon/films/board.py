@@ -143,7 +143,7 @@ def cameras_of_board(
     cameras = {name: one.camera for name, one in lenses.items()}
     if len(lenses) > 1:
         every = list(lenses.values())
-        poses, ground = _above_floor(_relative_poses(lenses, board), every, board)
+        poses, ground = _poses_above_floor(_relative_poses(lenses, board), every, board)
         named = zip(cameras.items(), poses, strict=True)
         cameras = {name: replace(one, T_camera_world=T[None]) for (name, one), T in named}
         said.append(ground)
@@ -239,7 +239,7 @@ def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
     return both[::step]
 
 
-def _above_floor(
+def _poses_above_floor(
     poses: Sequence[Float[np.ndarray, "4 4"]], lenses: Sequence[_Lens], board: Board
 ) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
     """Return each T_camera_world, z = 0 being where the board lies still longest, and a note."""
@@ -270,15 +270,15 @@ def _longest_rest(seen: Mapping[int, Corners]) -> list[int]:
 
     A gap of up to a second, in which the board is hidden, does not end the period.
     """
-    runs: list[list[int]] = []
+    rests: list[list[int]] = []
     for moment in sorted(seen):
-        last = runs[-1][-1] if runs else -1
-        soon = bool(runs) and moment - last <= _STILL_S * _RATE
+        last = rests[-1][-1] if rests else -1
+        soon = bool(rests) and moment - last <= _STILL_S * _RATE
         if soon and np.abs(seen[moment] - seen[last]).max() < _STILL:
-            runs[-1].append(moment)
+            rests[-1].append(moment)
         else:
-            runs.append([moment])
-    return max(runs, key=_duration)
+            rests.append([moment])
+    return max(rests, key=_duration)
 
 
 def _duration(moments: Sequence[int]) -> float:

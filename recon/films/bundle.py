@@ -55,22 +55,22 @@ class SeenBackground:
     """Normal matrix of the last refinement of points, which are eliminated: rotation and
     translation of every moved picture, and the logarithm of the focal length if it was free."""
 
-    def usable(self) -> Bool[np.ndarray, " seen"]:
+    def are_usable(self) -> Bool[np.ndarray, " seen"]:
         """Return which observations are of known points in pictures with known poses."""
         return self.placed[self.picture] & self.known[self.point]
 
-    def centres(self) -> Float[np.ndarray, "pictures 3"]:
+    def camera_positions(self) -> Float[np.ndarray, "pictures 3"]:
         """Return the cameras' positions in the world."""
         return -np.einsum("kji,kj->ki", self.R, self.t)
 
-    def in_cameras(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, "rows 3"]:
+    def points_in_cameras(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, "rows 3"]:
         """Return observed points in the frames of their cameras, times their homogeneous w."""
         k, X = self.picture[rows], self.X[self.point[rows]]
         return np.einsum("nij,nj->ni", self.R[k], X[:, :3]) + self.t[k] * X[:, 3:]
 
     def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
         """Return reprojection errors over the given focal length; infinite behind a camera."""
-        there = self.in_cameras(rows)
+        there = self.points_in_cameras(rows)
         front = there[:, 2] > _CLOSEST
         seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
         return np.where(
@@ -89,13 +89,13 @@ class SeenBackground:
         # choose the sign that puts a homogeneous point in front of the first camera that sees it
         first = rows[np.unique(self.point[rows], return_index=True)[1]]
         first = first[chosen[self.point[first]]]
-        self.X[self.point[first]] *= np.sign(self.in_cameras(first)[:, 2:])
+        self.X[self.point[first]] *= np.sign(self.points_in_cameras(first)[:, 2:])
         self.known |= chosen
         self.drop_misfits()
 
     def drop_misfits(self) -> None:
         """Mark a point as unknown if it fits in fewer than two, or half, of its pictures."""
-        rows = np.flatnonzero(self.usable())
+        rows = np.flatnonzero(self.are_usable())
         fits = rows[self.errors(rows) < _MISFIT * NOISE]
         of_all, of_fits = (
             np.bincount(self.point[own], minlength=len(self.X)) for own in (rows, fits)
@@ -124,12 +124,12 @@ class SeenBackground:
             steps: largest number of steps.
         """
         problem = _Adjustment(
-            self, np.flatnonzero(self.usable() & (moved[self.picture] | points)), moved,
+            self, np.flatnonzero(self.are_usable() & (moved[self.picture] | points)), moved,
             points, focal, steady, wider * NOISE,
         )  # fmt: skip
         value, damping = problem.cost(), 1e-4
         for _ in range(steps):
-            kept, step = (self.R, self.t, self.X, self.focal), problem.linearised()
+            kept, step = (self.R, self.t, self.X, self.focal), problem.step_of_linearised()
             while not (now := self._cost_after(step, damping, problem)) < value:
                 self.R, self.t, self.X, self.focal = kept
                 damping *= 10
@@ -156,7 +156,7 @@ class _Adjustment:
     moved: Bool[np.ndarray, " pictures"]
     points: bool
     focal: float | None
-    steady: float | None
+    steadiness_std: float | None
     scale: float
 
     def cost(self) -> float:
@@ -165,61 +165,67 @@ class _Adjustment:
         total = float((1 - 1 / (1 + square)).sum())
         if self.focal is not None:
             total += (np.log(self.scene.focal) / self.focal) ** 2
-        if self.steady is not None:
+        if self.steadiness_std is not None:
             total += float((self.second_differences() ** 2).sum())
         return total
 
     def second_differences(self) -> Float[np.ndarray, "inner 3"]:
         """Return second differences of cameras' positions over their standard deviation."""
-        return np.diff(self.scene.centres()[self.moved], n=2, axis=0) / self.steady
+        return (
+            np.diff(self.scene.camera_positions()[self.moved], n=2, axis=0) / self.steadiness_std
+        )
 
-    def linearised(self) -> Callable[[float], None]:
+    def step_of_linearised(self) -> Callable[[float], None]:
         """Linearise the present scene; return a function that takes a step of given damping."""
-        it, rows = self.scene, self.rows
-        k, p = it.picture[rows], it.point[rows]
-        there = it.in_cameras(rows)
+        scene, rows = self.scene, self.rows
+        k, p = scene.picture[rows], scene.point[rows]
+        there = scene.points_in_cameras(rows)
         front = there[:, 2] > _CLOSEST
         z = np.where(front, there[:, 2], 1.0)[:, None]
         seen = there[:, :2] / z
-        off = it.focal * seen - it.places[rows]
+        off = scene.focal * seen - scene.places[rows]
         # square root of the weight (1 + r²)⁻² in iteratively reweighted least squares
         root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
         off, root = off * root[:, None], root[:, None, None]
         D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
-        D *= it.focal * root / z[:, None]
+        D *= scene.focal * root / z[:, None]
         # derivatives by a rotation of the camera about its centre, then by its translation
         cross = so3.hat(torch.from_numpy(there)).numpy()
-        poses = np.concatenate((-D @ cross, D * it.X[p, 3][:, None, None]), 2)
+        poses = np.concatenate((-D @ cross, D * scene.X[p, 3][:, None, None]), 2)
         count = int(self.moved.sum())
         number = np.cumsum(self.moved) - 1
         columns = _sparse_blocks(
             poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count
         )
         if self.focal is not None:
-            zoom = sparse.csr_array((it.focal * seen * root[:, 0]).reshape(-1, 1))
+            zoom = sparse.csr_array((scene.focal * seen * root[:, 0]).reshape(-1, 1))
             columns = sparse.hstack((columns, zoom), format="csr")
         H, g = columns.T @ columns, columns.T @ off.ravel()
-        if self.steady is not None:
+        if self.steadiness_std is not None:
             inner = max(count - 2, 0)
             row = np.arange(inner).repeat(3)
             column = row + np.tile([0, 1, 2], inner)
             values = np.tile([1.0, -2.0, 1.0], inner)
             diff = sparse.csr_array((values, (row, column)), shape=(inner, count))
-            shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in it.R[self.moved]]
-            Jd = sparse.kron(diff, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
+            shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in scene.R[self.moved]]
+            Jd = (
+                sparse.kron(diff, sparse.eye_array(3))
+                @ sparse.block_diag(shift)
+                / self.steadiness_std
+            )
             H, g = H + Jd.T @ Jd, g + Jd.T @ self.second_differences().ravel()
         if self.focal is not None:
             last = np.zeros(len(g))
             last[-1] = 1 / self.focal
-            H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(it.focal)
+            H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(scene.focal)
         if not self.points:
-            return lambda damping: self._apply(
+            return lambda damping: self._apply_step(
                 -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
                 None,
             )
         used, which = np.unique(p, return_inverse=True)
-        basis = _perpendicular_bases(it.X[used])
-        Jp = D @ np.concatenate((it.R[k], it.t[k][:, :, None]), 2) @ basis[which]
+        basis = _perpendicular_bases(scene.X[used])
+        Jp = D @ np.concatenate((scene.R[k], scene.t[k][:, :, None]), 2) @ basis[which]
         Hpp, gp = np.zeros((len(used), 3, 3)), np.zeros((len(used), 3))
         np.add.at(Hpp, which, Jp.swapaxes(1, 2) @ Jp)
         np.add.at(gp, which, np.einsum("nij,ni->nj", Jp, off))
@@ -231,18 +237,18 @@ class _Adjustment:
             WV = W @ sparse.bsr_array((inverse, each[:-1], each))
             return inverse, WV, (H - WV @ W.T).toarray()
 
-        it.normal = without_points(0.0)[2]
+        scene.normal = without_points(0.0)[2]
 
         def take_step(damping: float) -> None:
             inverse, WV, S = without_points(damping)
             damped = S + np.diag(damping * S.diagonal() + _RIDGE)
             step = -np.linalg.solve(damped, g - WV @ gp.ravel())
             own = -np.einsum("pij,pj->pi", inverse, gp + (W.T @ step).reshape(-1, 3))
-            self._apply(step, (used, np.einsum("pij,pj->pi", basis, own)))
+            self._apply_step(step, (used, np.einsum("pij,pj->pi", basis, own)))
 
         return take_step
 
-    def _apply(
+    def _apply_step(
         self, step: Float[np.ndarray, " n"], points: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
         it = self.scene

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from recon.films.bundle import NOISE, SeenBackground
-from recon.films.turning import CameraMotion, turned_onto
+from recon.films.turning import CameraMotion, fitted_rotation
 
 _EVERY, _MOST_KEYS, _FEWEST_KEYS = 3, 150, 5
 """Fewest pictures from one key picture to the next; most and fewest key pictures of a film."""
@@ -71,11 +71,11 @@ def find_path(
     best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
         return "points of its background do not agree on a path"
-    place, zoom = _standard_deviations(best, _placed_except(best, first), focal=not known)
+    place, zoom = _standard_deviations(best, _pose_known_except(best, first), focal=not known)
     if place > _MOST_DEVIATION:
         return "it moves too little for the distance of its background"
     whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
-    R, places = whole.R[whole.placed], whole.centres()[whole.placed]
+    R, places = whole.R[whole.placed], whole.camera_positions()[whole.placed]
     return CameraMotion(
         frames=frames[whole.placed],
         R_first_camera=R[0] @ R.swapaxes(1, 2),
@@ -93,7 +93,7 @@ class _Observations:
     point: Int[np.ndarray, " rows"]
     places: Float[np.ndarray, "rows 2"]
 
-    def scene(self, pictures: int, points: int) -> SeenBackground:
+    def unsolved_scene(self, pictures: int, points: int) -> SeenBackground:
         """Return a scene with these observations, in which no pose and no point is known."""
         return SeenBackground(
             self.picture, self.point, self.places, np.tile(np.eye(3), (pictures, 1, 1)),
@@ -101,7 +101,7 @@ class _Observations:
             np.zeros(points, bool),
         )  # fmt: skip
 
-    def of(self, keys: Int[np.ndarray, " keys"]) -> "_Observations":
+    def in_key_pictures(self, keys: Int[np.ndarray, " keys"]) -> "_Observations":
         """Return the observations in the key pictures, which are numbered from 0 anew."""
         number = np.full(self.picture.max() + 1, -1)
         number[keys] = np.arange(len(keys))
@@ -116,15 +116,15 @@ def _reconstructions(
 
     The frame of this picture is the world's.
     """
-    own, points = seen.of(keys), int(seen.point.max()) + 1
+    own, points = seen.in_key_pictures(keys), int(seen.point.max()) + 1
     table = np.full((len(keys), points, 2), np.nan)
     table[own.picture, own.point] = own.places
     for one, other, R, t in _starting_pairs(table):
-        scene = own.scene(len(keys), points)
+        scene = own.unsolved_scene(len(keys), points)
         scene.R[other], scene.t[other] = R, t
-        _place_pictures(scene, one, other)
+        _find_poses_from_pair(scene, one, other)
         scene.refine(
-            _placed_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
+            _pose_known_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
         )
         yield scene, one
 
@@ -148,7 +148,7 @@ def _starting_pairs(
             both = seen[i] & seen[j]
             if both.sum() < _FEWEST_SHARED:
                 break
-            _, off, _ = turned_onto(rays[i, both], rays[j, both])
+            _, off, _ = fitted_rotation(rays[i, both], rays[j, both])
             found.append((float(np.median(off) * np.sqrt(both.sum())), i, j))
     taken: list[tuple[int, int]] = []
     for _, i, j in sorted(found, reverse=True):
@@ -167,14 +167,14 @@ def _starting_pairs(
             yield i, j, R, t[:, 0]
 
 
-def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
+def _find_poses_from_pair(scene: SeenBackground, first: int, second: int) -> None:
     """Find the poses of all pictures, given those of two: first between these, then outwards."""
-    scene.placed[[one, other]] = True
+    scene.placed[[first, second]] = True
     scene.triangulate()
-    scene.refine(_placed_except(scene, one))
+    scene.refine(_pose_known_except(scene, first))
     left = np.flatnonzero(~scene.placed)
-    outside = (left < one) | (left > other)
-    far = np.minimum(np.abs(left - one), np.abs(left - other))
+    outside = (left < first) | (left > second)
+    far = np.minimum(np.abs(left - first), np.abs(left - second))
     for count, k in enumerate(left[np.lexsort((far, outside))], start=1):
         placed = np.flatnonzero(scene.placed)
         near = placed[np.abs(placed - k).argmin()]
@@ -186,18 +186,18 @@ def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
             scene.refine(np.arange(len(scene.placed)) == k, points=False, wider=wider)
         scene.triangulate()
         if count % _REFINED_EVERY == 0:
-            scene.refine(_placed_except(scene, one), steps=3)
+            scene.refine(_pose_known_except(scene, first), steps=3)
             scene.drop_misfits()
 
 
-def _placed_except(scene: SeenBackground, one: int) -> Bool[np.ndarray, " pictures"]:
+def _pose_known_except(scene: SeenBackground, picture: int) -> Bool[np.ndarray, " pictures"]:
     """Return which pictures have known poses, except one, whose frame is the world's."""
-    return scene.placed & (np.arange(len(scene.placed)) != one)
+    return scene.placed & (np.arange(len(scene.placed)) != picture)
 
 
 def _share_that_fits(scene: SeenBackground) -> float:
     """Return the share of all observations whose reprojection errors are small."""
-    rows = np.flatnonzero(scene.usable())
+    rows = np.flatnonzero(scene.are_usable())
     return float((scene.errors(rows) < _FITS * NOISE).sum() / len(scene.picture))
 
 
@@ -227,16 +227,16 @@ def _all_pictures_placed(
     rate: float,
 ) -> SeenBackground:
     """Find the poses of all pictures on a smooth path, by the points of the key pictures."""
-    whole = seen.scene(pictures, len(best.X))
+    whole = seen.unsolved_scene(pictures, len(best.X))
     whole.X, whole.known, whole.focal = best.X, best.known, best.focal
     stand = np.flatnonzero(best.placed)
     near = stand[np.abs(np.arange(pictures)[:, None] - keys[stand]).argmin(1)]
     whole.R, whole.t = best.R[near], best.t[near]
     count = np.bincount(seen.picture[best.known[seen.point]], minlength=pictures)
     whole.placed = count >= _FEWEST_POINTS
-    rows = np.flatnonzero(whole.usable())
+    rows = np.flatnonzero(whole.are_usable())
     w = np.abs(whole.X[whole.point[rows], 3])
-    far = float(np.median(whole.in_cameras(rows)[:, 2] / np.maximum(w, 1e-9)))
+    far = float(np.median(whole.points_in_cameras(rows)[:, 2] / np.maximum(w, 1e-9)))
     for wider in _WIDER:
         whole.refine(whole.placed, points=False, wider=wider, steady=_ACCELERATION * far / rate**2)
     return whole

@@ -28,7 +28,7 @@ class FilmClock:
     """The largest distance of a picture from the nearest frame of the clock, in frames."""
 
     @property
-    def even(self) -> bool:
+    def is_even(self) -> bool:
         """Whether the pictures were taken at the clock's frames, but for dropped ones."""
         return self.off <= _EVEN
 
@@ -64,7 +64,7 @@ def clock_of_stamps(
     return FilmClock(rate=rate, frames=count + 1, speed=rate / played, off=float(off))
 
 
-def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:
+def resampled_at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:
     """Interpolate one person's keypoints from the times of pictures to frames of an even clock.
 
     Args:

@@ -190,7 +190,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
         notes.append(f"{clock.rate:.3g} pictures per second are too few to follow a motion by")
     if promised > len(stamps):
         notes.append(f"the file ends early: {len(stamps)} of {promised} pictures are there")
-    if not clock.even:
+    if not clock.is_even:
         notes.append(
             "pictures were taken unevenly: what is seen in them is interpolated at "
             f"{clock.rate:.4g} Hz"

@@ -15,10 +15,10 @@ from recon.films.blazepose import (
     Image,
     Network,
     Region,
+    affinely_mapped,
     anchors_of_grids,
     bundled_folder,
     detected_boxes,
-    mapped,
 )
 
 POINTS = 21
@@ -59,7 +59,7 @@ class Hand:
     """Probability that the region holds a hand."""
 
     @property
-    def region(self) -> Region:
+    def next_region(self) -> Region:
         """Square of the image in which to look for the hand in the next frame."""
         knuckles = self.pixels[[5, 13]].mean(0) / 2 + self.pixels[9] / 2
         ahead = knuckles - self.pixels[0]
@@ -92,12 +92,12 @@ class HandNetworks:
         self._landmarks = Network(folder / "hand_landmark_full.tflite", (63,))
         self._anchors = anchors_of_grids(_ANCHORS)
 
-    def palms(self, image: Image, square: Region) -> list[Palm]:
+    def palms_in(self, image: Image, square: Region) -> list[Palm]:
         """Return the palms that are found in a square of an image, highest score first."""
         cut = square.cut(image, _DETECTOR_SIDE) / np.float32(255.0)
         to_image, found = square.to_image(_DETECTOR_SIDE), list[Palm]()
         for points, score in detected_boxes(self._detector, cut, self._anchors):
-            centre, _, *keypoints = mapped(points * _DETECTOR_SIDE - 0.5, to_image)
+            centre, _, *keypoints = affinely_mapped(points * _DETECTOR_SIDE - 0.5, to_image)
             ahead = keypoints[_MIDDLE] - keypoints[_WRIST]
             side = float(points[1].max()) * square.side
             length = max(float(np.linalg.norm(ahead)), 1e-9)
@@ -109,10 +109,10 @@ class HandNetworks:
             found.append(Palm(region, keypoints[_WRIST], score))
         return found
 
-    def hand(self, image: Image, region: Region) -> Hand:
+    def hand_in(self, image: Image, region: Region) -> Hand:
         """Find the 21 points of the hand in a region of an image."""
         cut = region.cut(image, _SIDE) / np.float32(255.0)
         raw, (score,) = self._landmarks(cut, (1,))
         places = raw.reshape(POINTS, 3)[:, :2].astype(float)
-        pixels = mapped(places - 0.5, region.to_image(_SIDE))
+        pixels = affinely_mapped(places - 0.5, region.to_image(_SIDE))
         return Hand(pixels, float(score))

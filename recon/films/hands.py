@@ -60,17 +60,17 @@ class _Wrist:
     ahead: Float[np.ndarray, "2"]
     """Unit vector from the elbow to the wrist; zero where the forearm points at the camera."""
 
-    def away(self, place: Float[np.ndarray, "2"]) -> float:
+    def hand_lengths_to(self, place: Float[np.ndarray, "2"]) -> float:
         """Return the distance of a position from this wrist, in expected lengths of the hand."""
         return float(np.linalg.norm(place - self.place)) / self.length
 
-    def owns(self, hand: Hand) -> bool:
+    def may_own(self, hand: Hand) -> bool:
         """Return whether a found hand may be this wrist's, by its score, position and size."""
         reach = float(np.linalg.norm(hand.pixels - hand.pixels[0], axis=1).max()) / self.length
-        near = self.away(hand.pixels[0]) < _FAR
+        near = self.hand_lengths_to(hand.pixels[0]) < _FAR
         return hand.score >= _LEAST_SCORE and near and _SMALLEST < reach < _LARGEST
 
-    def square(self) -> Region:
+    def palm_region(self) -> Region:
         """Return the square of the image in which this wrist's palm is looked for."""
         middle = self.place + _AHEAD * self.length * self.ahead
         return Region(middle, _SQUARE * self.length, 0.0)
@@ -93,7 +93,7 @@ def with_hands(
     Raises:
         ReconError: when the keypoints have no wrists.
     """
-    wrists, small = _wrists(film, found)
+    wrists, small = _wrists_and_small_people(film, found)
     of_frame: dict[int, list[_Wrist]] = {}
     for one in wrists:
         of_frame.setdefault(int(found.frame[one.row]), []).append(one)
@@ -109,7 +109,7 @@ def with_hands(
         for wrist, hand in followed:
             pixels = film.in_film(hand.pixels)
             inside = np.all((pixels >= 0) & (pixels <= most), axis=1, keepdims=True)
-            points = np.column_stack((pixels, np.full(POINTS, _confidence(hand))))
+            points = np.column_stack((pixels, np.full(POINTS, _confidence_of_hand(hand))))
             hands[wrist.row, wrist.side] = np.where(inside, points, 0.0)
     with_points = np.any(hands[..., 2] > 0, axis=2)
     shares = " and ".join(
@@ -125,7 +125,7 @@ def with_hands(
     return replace(found, hands=points, decisions=(*notes, *found.decisions))
 
 
-def _confidence(hand: Hand) -> float:
+def _confidence_of_hand(hand: Hand) -> float:
     """Return a hand's confidence: usual error of its points over that expected at its score.
 
     In real films of three calibrated cameras, points of hands with scores from 0.6 to 0.9 were
@@ -134,7 +134,9 @@ def _confidence(hand: Hand) -> float:
     return max((2 * hand.score - 1) ** 2, _LEAST_CONFIDENCE)
 
 
-def _wrists(film: Film, found: Detections) -> tuple[list[_Wrist], Bool[np.ndarray, " rows"]]:
+def _wrists_and_small_people(
+    film: Film, found: Detections
+) -> tuple[list[_Wrist], Bool[np.ndarray, " rows"]]:
     """Return all wrists whose hands are large enough to find, and which people are too small.
 
     A hand's length follows from the segment of the body that appears largest in relation to its
@@ -187,20 +189,20 @@ def _hands_at(
     """
     for wrist in wrists:
         own = [hand for one, hand in followed if one.side == wrist.side]
-        near = [one for one in own if wrist.away(one.pixels[0]) < 2 * _FAR]
-        near.sort(key=lambda one: wrist.away(one.pixels[0]))
-        hands = [networks.hand(image, one.region) for one in near[:1]]
-        if not any(map(wrist.owns, hands)) and (search or near):
-            palms = networks.palms(image, wrist.square())
-            palms = [one for one in palms if wrist.away(one.wrist) < _FAR]
-            palms.sort(key=lambda one: wrist.away(one.wrist))
-            hands = [networks.hand(image, one.region) for one in palms[:1]]
-        yield from ((wrist, hand) for hand in hands if wrist.owns(hand))
+        near = [one for one in own if wrist.hand_lengths_to(one.pixels[0]) < 2 * _FAR]
+        near.sort(key=lambda one: wrist.hand_lengths_to(one.pixels[0]))
+        hands = [networks.hand_in(image, one.next_region) for one in near[:1]]
+        if not any(map(wrist.may_own, hands)) and (search or near):
+            palms = networks.palms_in(image, wrist.palm_region())
+            palms = [one for one in palms if wrist.hand_lengths_to(one.wrist) < _FAR]
+            palms.sort(key=lambda one: wrist.hand_lengths_to(one.wrist))
+            hands = [networks.hand_in(image, one.region) for one in palms[:1]]
+        yield from ((wrist, hand) for hand in hands if wrist.may_own(hand))
 
 
 def _without_duplicates(seen: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
     """Return hands without duplicates: one found at two wrists is left to the nearer wrist."""
-    seen.sort(key=lambda it: it[0].away(it[1].pixels[0]))
+    seen.sort(key=lambda it: it[0].hand_lengths_to(it[1].pixels[0]))
     kept: list[tuple[_Wrist, Hand]] = []
     for wrist, hand in seen:
         apart = [np.linalg.norm(hand.pixels - one.pixels, axis=1).mean() for _, one in kept]

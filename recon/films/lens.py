@@ -38,7 +38,7 @@ def stated_focal_length(path: Path) -> tuple[float | None, str]:
         ]
     if not values:
         return None, ""
-    numbers = {_as_number(kind, raw) for kind, raw in values}
+    numbers = {_number_of_metadata(kind, raw) for kind, raw in values}
     if len(numbers) == 1 and (focal := numbers.pop()) is not None:
         if FILM_FOCAL_LENGTH.holds(focal):
             return focal, f"the camera states a focal length of {focal:.4g} mm for 35 mm film"
@@ -108,7 +108,7 @@ def _focal_length_items(
                 yield int.from_bytes(data[start : start + 4]), data[start + 8 : end]
 
 
-def _as_number(kind: int, raw: bytes) -> float | None:
+def _number_of_metadata(kind: int, raw: bytes) -> float | None:
     """Decode a metadata value as a number; return None where it is none."""
     try:
         if kind == _TEXT:

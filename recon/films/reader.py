@@ -13,9 +13,9 @@ from recon.core.errors import FormatError, ReconError
 from recon.core.plugins import DETECTORS, imported_object, registered_places
 from recon.detections.records import Background, Detections, Row, detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
-from recon.films.background import FollowedPoints, moving_background
+from recon.films.background import FollowedPoints, points_if_camera_moves
 from recon.films.blazepose import BlazePose
-from recon.films.clock import at_even_times
+from recon.films.clock import resampled_at_even_times
 from recon.films.decoding import Film, FilmFrame, open_film
 from recon.films.hand_networks import HandNetworks
 from recon.films.hands import with_hands
@@ -104,7 +104,7 @@ def read_film(
         ReconError: when the detector is not installed.
     """
     existing_file(path)
-    key = "" if kept is None else _key(path, frame_rate, layout, detector)
+    key = "" if kept is None else _detections_checksum(path, frame_rate, layout, detector)
     people = None if kept is None else _StoreFile(path, kept, key)
     if not fingers:
         return _detections_without_hands(path, frame_rate, layout, detector, people, watch)
@@ -141,7 +141,7 @@ def _detections_without_hands(
     if kept is not None and (found := kept.load()) is not None:
         return found
     film = open_film(path, frame_rate=frame_rate)
-    frames = _Watched(film, watch)
+    frames = _WatchedFilm(film, watch)
     unfinished = None
     if detector is None or detector.endswith(_NETWORK):
         networks = BlazePose(None if detector is None else Path(detector))
@@ -157,11 +157,11 @@ def _detections_without_hands(
         ]
         layout = "mediapipe33"
     else:
-        rows = sorted(_own_detector(detector)(frames), key=lambda row: row[2])
+        rows = sorted(_detector_named(detector)(frames), key=lambda row: row[2])
         people = [list(own) for _, own in groupby(rows, key=lambda row: row[2])]
     lines, lines_frame = frames.lines()
     found = _detections(film, frames.times, people, layout)
-    background, note = moving_background(frames.background(), found)
+    background, note = points_if_camera_moves(frames.background(), found)
     film.notes += [note] if note else []
     found = replace(
         found, lines=lines, lines_frame=lines_frame, background=background,
@@ -175,7 +175,7 @@ def _detections_without_hands(
 
 
 @dataclass
-class _Watched:
+class _WatchedFilm:
     """Iterates over a film's frames; reports progress, records times, lines and background."""
 
     film: Film
@@ -193,7 +193,7 @@ class _Watched:
             if frame.number % every == every // 2:
                 ends = self.film.in_film(straight_segments(frame.image))
                 self.segments[frame.number] = frame.shot, ends
-            self.followed.step(frame.image, frame.number, frame.shot)
+            self.followed.follow(frame.image, frame.number, frame.shot)
             yield frame
             self.times[frame.number] = frame.time
 
@@ -223,14 +223,14 @@ def _detect_everybody(
     tracker = Tracker(networks, rate)
     sights, state = ([], None) if unfinished is None else unfinished.load()
     if state is not None:
-        tracker.go_on(state)
+        tracker.continue_from(state)
     after = -1 if state is None else state.frame
     kept, done = len(sights), False
     try:
         for count, frame in enumerate(frames, start=1):
             if frame.number <= after:
                 continue
-            sights += tracker.step(frame.image, frame.number, frame.shot)
+            sights += tracker.detect_next(frame.image, frame.number, frame.shot)
             state = tracker.state()
             if unfinished is not None and count % _SAVED_EVERY == 0:
                 unfinished.add(sights[kept:], kept, state)
@@ -251,10 +251,10 @@ def _detections(
     Keypoints beyond the image's border are guesses: they get a confidence of 0.
     """
     numbers = list(times)
-    if not film.clock.even:
+    if not film.clock.is_even:
         numbers = list(range(film.frames))
         people = [
-            at_even_times(own, times, film.frame_rate) if _is_one_person(own) else own
+            resampled_at_even_times(own, times, film.frame_rate) if _is_one_person(own) else own
             for own in people
         ]
     rows = sorted((row for own in people for row in own), key=lambda row: row[0])
@@ -283,7 +283,7 @@ def _is_one_person(rows: list[Row]) -> bool:
     return len({number for number, _, _ in rows}) == len(rows)
 
 
-def _own_detector(name: str) -> Detector:
+def _detector_named(name: str) -> Detector:
     """Make the detector that a caller chose by a registered name or package.module:Class.
 
     Raises:
@@ -298,7 +298,9 @@ def _own_detector(name: str) -> Detector:
     return imported_object(known.get(name, name), "detector")()
 
 
-def _key(path: Path, frame_rate: float | None, layout: str | None, detector: str | None) -> str:
+def _detections_checksum(
+    path: Path, frame_rate: float | None, layout: str | None, detector: str | None
+) -> str:
     """Return a checksum of everything that the detections of a film depend on."""
     network = detector is not None and detector.endswith(_NETWORK)
     return value_checksum(

@@ -41,7 +41,7 @@ def with_shots(pictures: Iterable[Picture]) -> Iterator[tuple[Picture, int]]:
     past: deque[_Small | None] = deque(maxlen=_AROUND + 1)
     waiting: deque[tuple[Picture, _Small | None]] = deque()
 
-    def next_one() -> tuple[Picture, int]:
+    def next_picture() -> tuple[Picture, int]:
         nonlocal shot, shown
         shot += shown is not None and _is_cut(shown, past, [small for _, small in waiting])
         picture, small = waiting.popleft()
@@ -52,9 +52,9 @@ def with_shots(pictures: Iterable[Picture]) -> Iterator[tuple[Picture, int]]:
     for picture in pictures:
         waiting.append((picture, _thumbnail(picture[0])))
         if len(waiting) > _AROUND:
-            yield next_one()
+            yield next_picture()
     while waiting:
-        yield next_one()
+        yield next_picture()
 
 
 def _is_cut(shown: _Small, past: Sequence[_Small | None], coming: Sequence[_Small | None]) -> bool:
@@ -68,16 +68,16 @@ def _is_cut(shown: _Small, past: Sequence[_Small | None], coming: Sequence[_Smal
     if coming[0] is None:
         return False
     least = _BLACKOUT if past[-1] is None else _DIFFERENT
-    step = _difference(shown, coming[0])
+    step = _dissimilarity(shown, coming[0])
     if step < least:
         return False
-    if any(_difference(shown, one) < least for one in coming[1:] if one is not None):
+    if any(_dissimilarity(shown, one) < least for one in coming[1:] if one is not None):
         return False
     if past[-1] is None:
         return True
     around = [*pairwise(past), *pairwise(coming)]
     return step > _LEAST_RATIO * max(
-        (_difference(a, b) for a, b in around if a is not None and b is not None), default=0.0
+        (_dissimilarity(a, b) for a, b in around if a is not None and b is not None), default=0.0
     )
 
 
@@ -89,7 +89,7 @@ def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> _Small | None:
     return None if small.std((0, 1)).max() <= _BLANK else small
 
 
-def _difference(a: _Small, b: _Small) -> float:
+def _dissimilarity(a: _Small, b: _Small) -> float:
     """Return 1 - correlation of two images, shifted to match best: 0 is alike, 1 unrelated."""
     inner = b[_MOST_SHIFT:-_MOST_SHIFT, _MOST_SHIFT:-_MOST_SHIFT]
     return 1.0 - float(cv2.matchTemplate(a, inner, cv2.TM_CCOEFF_NORMED).max())

@@ -50,7 +50,7 @@ def rows_of_sights(sights: list[Sight]) -> list[Row]:
     apart = np.linalg.norm(chosen - other, axis=-1) / size[:, None]
     pixels = np.where((apart < _AGREEMENT)[..., None], (chosen + other) / 2, chosen)
     off = np.linalg.norm(pixels - _median_in_time(pixels), axis=-1) / size[:, None]
-    points = np.concatenate((pixels, _confidence(sights, apart + off)[..., None]), -1)
+    points = np.concatenate((pixels, _landmark_confidence(sights, apart + off)[..., None]), -1)
     return [(sight.frame, row, -1) for sight, row in zip(sights, points, strict=True)]
 
 
@@ -85,10 +85,10 @@ def _likeliest_hypotheses(
 ) -> Int[np.ndarray, " frames"]:
     """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
     # sides as named cost 0, exchanged ones 2; all cost 1 if the mirror image names them otherwise
-    named, exchanged = (
+    distance_as_named, distance_exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
-    doubt = (exchanged < named).astype(float)
+    doubt = (distance_exchanged < distance_as_named).astype(float)
     votes = _VOTE * np.stack((doubt, doubt, 2 - doubt, 2 - doubt), 1)
     moved = np.linalg.norm(hypotheses[1:, :, None] - hypotheses[:-1, None], axis=-1)
     moved /= size[1:, None, None, None]
@@ -109,14 +109,14 @@ def _median_in_time(
     return np.median(np.stack([padded[k : k + len(pixels)] for k in range(5)]), axis=0)
 
 
-def _confidence(
-    sights: list[Sight], apart: Float[np.ndarray, "frames 33"]
+def _landmark_confidence(
+    sights: list[Sight], spread: Float[np.ndarray, "frames 33"]
 ) -> Float[np.ndarray, "frames 33"]:
     """Return confidences: the error of a surely seen landmark over that expected of this one.
 
     Args:
         sights: detections of one person.
-        apart: distance of the two estimates of every landmark, plus that of their mean from the
+        spread: distance of the two estimates of every landmark, plus that of their mean from the
             frames before and after, sizes of the body.
     """
     visible, present = (
@@ -124,6 +124,6 @@ def _confidence(
         for name in ("visibility", "presence")
     )
     inside = np.array([one.pose.inside & one.mirrored.inside for one in sights])
-    error = _USUAL + _HIDDEN * (1 - visible) ** 1.5 + _PER_DISTANCE * apart
+    error = _USUAL + _HIDDEN * (1 - visible) ** 1.5 + _PER_DISTANCE * spread
     seen = inside & (visible * present > _LEAST_SEEN)
     return np.where(seen, present * _USUAL / error, 0.0)

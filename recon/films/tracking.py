@@ -63,7 +63,7 @@ class _Track:
     body: Float[np.ndarray, "33 2"] | None = None
     """Landmarks of the last frame; None before the first."""
 
-    def jump(self, pose: Pose) -> float:
+    def distance_from_last(self, pose: Pose) -> float:
         """Return the distance of a pose from the last frame's, in sides of the region."""
         if self.body is None:
             return 0.0
@@ -113,7 +113,7 @@ class Tracker:
             self._frame, self._shot, self._fresh, self._next_search, np.reshape(rows, (-1, 79))
         )
 
-    def go_on(self, state: TrackerState) -> None:
+    def continue_from(self, state: TrackerState) -> None:
         """Restore the state of an earlier tracker of the same film."""
         self._frame, self._shot, self._fresh = state.frame, state.shot, state.fresh
         self._next_search = state.next_search
@@ -125,7 +125,7 @@ class Tracker:
             for row in state.tracks
         ]  # fmt: skip
 
-    def step(self, image: Image, frame: int, shot: int) -> list[Sight]:
+    def detect_next(self, image: Image, frame: int, shot: int) -> list[Sight]:
         """Detect all people in the next frame; return a `Sight` for each."""
         self._frame = frame
         if shot != self._shot:
@@ -148,7 +148,7 @@ class Tracker:
         if tiles:
             found += [one for tile in _tiles(image) for one in self._networks.find(image, tile)]
         for region, _ in sorted(found, key=lambda one: -one[1]):
-            if all(not _same_place(region, one.region) for one in self._tracks):
+            if all(not _are_same_place(region, one.region) for one in self._tracks):
                 self._tracks.append(_Track(self._fresh, region))
                 self._fresh += 1
 
@@ -163,26 +163,26 @@ class Tracker:
             sure = [pose for pose in both if pose.score >= _LEAST_SCORE]
             if not sure:
                 continue
-            steady = min(sure, key=one.jump)
-            pose, mirrored = (it if _same_body(it, steady) else steady for it in both)
+            steady = min(sure, key=one.distance_from_last)
+            pose, mirrored = (it if _are_same_body(it, steady) else steady for it in both)
             yield one, Sight(frame, one.number, pose, mirrored)
 
     def _without_duplicates(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
         """Return tracks without duplicates: of several on one body, that which moved least."""
-        seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
+        seen.sort(key=lambda it: (it[0].body is None, it[0].distance_from_last(it[1].pose)))
         kept: list[tuple[_Track, Sight]] = []
         for track, sight in seen:
-            if all(not _same_body(sight.pose, other.pose) for _, other in kept):
+            if all(not _are_same_body(sight.pose, other.pose) for _, other in kept):
                 kept.append((track, sight))
         return kept
 
 
-def _same_place(one: Region, other: Region) -> bool:
+def _are_same_place(one: Region, other: Region) -> bool:
     away = np.linalg.norm(one.centre - other.centre)
     return bool(away < _SAME_PLACE * min(one.side, other.side))
 
 
-def _same_body(one: Pose, other: Pose) -> bool:
+def _are_same_body(one: Pose, other: Pose) -> bool:
     return _distance_of_bodies(one.pixels, other.pixels) < _SAME_BODY * min(
         one.region.side, other.region.side
     )

@@ -82,24 +82,24 @@ def find_turning(
     frames = np.unique(frame)
     starts = np.searchsorted(frame, frames[1:])
 
-    def turned(factor: float) -> tuple[Float[np.ndarray, "pictures 3 3"], np.ndarray]:
+    def rotations_at(factor: float) -> tuple[Float[np.ndarray, "pictures 3 3"], np.ndarray]:
         return _chained_rotations(point, pixels / (focal * factor), starts)
 
-    def disagreement(factor: float) -> float:
+    def misfit_at(factor: float) -> float:
         # compare pixels, since the same error is a smaller angle at a longer focal length
-        return float(np.log1p((turned(factor)[1] * factor / _NOISE) ** 2).mean())
+        return float(np.log1p((rotations_at(factor)[1] * factor / _NOISE) ** 2).mean())
 
     factor, told = 1.0, False
-    found, off = turned(factor)
+    found, off = rotations_at(factor)
     if _largest_turn(found) > _FOCAL_TURN and not known:
-        values = np.array([disagreement(one) for one in _FOCAL_FACTORS])
+        values = np.array([misfit_at(one) for one in _FOCAL_FACTORS])
         best = int(values.argmin())
         told = 0 < best < len(values) - 1
         if told:
             around = slice(best - 1, best + 2)
             bend = np.polyfit(np.log(_FOCAL_FACTORS[around]), values[around], 2)
             factor = float(np.exp(-bend[1] / (2 * bend[0])))
-            found, off = turned(factor)
+            found, off = rotations_at(factor)
     if _largest_turn(found) < _LEAST_TURN or np.median(off) > _MOST_OFF:
         return None
     return CameraMotion(frames, found, np.zeros((len(frames), 3)), focal * factor, told)
@@ -110,7 +110,7 @@ def _largest_turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
     return float(Rotation.from_matrix(rotations).magnitude().max())
 
 
-def turned_onto(
+def fitted_rotation(
     rays: Float[np.ndarray, "points 3"],
     goal: Float[np.ndarray, "points 3"],
     R: Float[np.ndarray, "3 3"] | None = None,
@@ -151,7 +151,7 @@ def _chained_rotations(
         mine, ray, weight = point[rows], rays[rows], np.ones(len(rows))
         old = trust[mine] > 0
         if old.sum() >= _FEWEST_POINTS:
-            turn, off, weight[old] = turned_onto(ray[old], known[mine[old]], turn)
+            turn, off, weight[old] = fitted_rotation(ray[old], known[mine[old]], turn)
             offs.append(off)
         turns.append(turn)
         trust[mine] += weight + 1e-3

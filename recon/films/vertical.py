@@ -129,11 +129,11 @@ def _may_be_vertical(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
 
 
 def _turned_at_random(
-    segments: Float[np.ndarray, "segments 2 2"], chance: np.random.Generator
+    segments: Float[np.ndarray, "segments 2 2"], generator: np.random.Generator
 ) -> Float[np.ndarray, "segments 2 2"]:
     """Return the segments, each turned about its middle by a random angle."""
     middle = segments.mean(1, keepdims=True)
-    angle = chance.uniform(0, np.pi, len(segments))
+    angle = generator.uniform(0, np.pi, len(segments))
     turns = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return middle + np.einsum("ijs,skj->ski", turns, segments - middle)
 
@@ -141,26 +141,26 @@ def _turned_at_random(
 def _share_by_chance(
     segments: Float[np.ndarray, "segments 2 2"],
     lengths: Float[np.ndarray, " focals"],
-    chance: np.random.Generator,
+    generator: np.random.Generator,
 ) -> float:
     """Return the largest explained share in several copies of segments, turned at random."""
-    turned = [_turned_at_random(segments, chance) for _ in range(_RANDOM_TURNS)]
-    return max(_best_vertical(one, focal, chance)[1] for one in turned for focal in lengths)
+    turned = [_turned_at_random(segments, generator) for _ in range(_RANDOM_TURNS)]
+    return max(_best_vertical(one, focal, generator)[1] for one in turned for focal in lengths)
 
 
 def _best_vertical(
-    segments: Float[np.ndarray, "segments 2 2"], focal: float, chance: np.random.Generator
+    segments: Float[np.ndarray, "segments 2 2"], focal: float, generator: np.random.Generator
 ) -> tuple[Float[np.ndarray, "3"], float, float]:
     """Return the vertical proposed by pairs of segments that explains most, and its share.
 
     Also returned is the largest share of one in another direction. Shares are multiplied by the
     likelihood of the camera's roll and pitch.
     """
-    length, normals = _lengths(segments), _plane_normals(segments, focal)
+    length, normals = _segment_lengths(segments), _plane_normals(segments, focal)
     steep = np.flatnonzero(_may_be_vertical(segments))
     if len(steep) == 0:
         return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
-    first, second = chance.choice(steep, (2, _PAIRS), p=length[steep] / length[steep].sum())
+    first, second = generator.choice(steep, (2, _PAIRS), p=length[steep] / length[steep].sum())
     across = np.cross(normals[first], normals[second])
     size = np.linalg.norm(across, axis=-1, keepdims=True)
     ups = (across / np.maximum(size, 1e-9) * -np.sign(across[:, 1:2]))[size[:, 0] > 1e-2]
@@ -186,7 +186,7 @@ def _explained_share(
 
     It is zero where the vertical explains too little by itself.
     """
-    length, normals = _lengths(segments), _plane_normals(segments, focal)
+    length, normals = _segment_lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
     vertical = np.exp(-0.5 * off**2)
     # the horizontal direction that a segment may show is at right angles to its plane's normal
@@ -207,7 +207,9 @@ def _explained_share(
     return np.where(alone > _LEAST_VERTICAL * length.sum(), share, 0.0)
 
 
-def _lengths(segments: Float[np.ndarray, "segments 2 2"]) -> Float[np.ndarray, " segments"]:
+def _segment_lengths(
+    segments: Float[np.ndarray, "segments 2 2"],
+) -> Float[np.ndarray, " segments"]:
     return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
 
 

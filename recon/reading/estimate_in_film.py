@@ -82,7 +82,7 @@ def view_of_estimate(
     level = getattr(estimate, "level", False)
     said = f"{views.names[0]}: keypoints lie {error:.1%} of the body's size from the estimate's"
     view = view.derived(ground_known=False, level=level)
-    return view, (*views.decisions, said), tuple(one.of(views.names[0]) for one in doubts)
+    return view, (*views.decisions, said), tuple(one.of_sensor(views.names[0]) for one in doubts)
 
 
 def _keypoints_of_motion(motion: Motion, layout: str, body: BodyModel) -> Keypoints3D:

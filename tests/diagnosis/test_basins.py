@@ -7,7 +7,7 @@ from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.diagnosis.basins import basin_findings, label_distance
+from recon.diagnosis.basins import basin_findings, distance_from_labelled_places
 from recon.diagnosis.examination import summarise
 from tests import laws
 from tests.filmed import bundled, turned, walk
@@ -51,7 +51,7 @@ def test_a_turned_body_is_said():
     """A back that was taken for a chest was 27 cm off, and near every point."""
     cloud, motion, body = scene()
     assert said(cloud, motion, body) == []
-    there = label_distance(cloud, laws.estimate_of(body, motion))
+    there = distance_from_labelled_places(cloud, laws.estimate_of(body, motion))
     assert there is not None
     assert there < 0.05
     wrong = turned(motion[0], torch.pi)[None]
@@ -60,7 +60,10 @@ def test_a_turned_body_is_said():
     (finding,) = said(cloud, wrong, body)
     assert finding.code == "wrong basin"
     assert "look like" in finding.message
-    assert label_distance(cloud.replace(labels=None), laws.estimate_of(body, wrong)) is None
+    assert (
+        distance_from_labelled_places(cloud.replace(labels=None), laws.estimate_of(body, wrong))
+        is None
+    )
 
 
 def test_legs_below_the_image_speak_against_nothing():

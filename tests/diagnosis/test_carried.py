@@ -10,7 +10,7 @@ from recon.api.pipeline import fit_and_check
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.carried import carried_finding
+from recon.diagnosis.carried import turned_camera_finding
 from recon.diagnosis.movement import belt_velocity
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
@@ -38,7 +38,7 @@ def carried(motion: Motion, degrees: float) -> Motion:
 @pytest.mark.parametrize("degrees", [-25.0, 15.0])
 def test_feet_that_all_turn_at_one_rate(degrees: float) -> None:
     """A phone that was carried around a person was believed to stand, and nothing was said."""
-    found = carried_finding("phone", carried(walk(FRAMES), degrees), bundled())
+    found = turned_camera_finding("phone", carried(walk(FRAMES), degrees), bundled())
     assert found is not None
     assert found.value is not None
     assert found.code == "camera moves"
@@ -48,12 +48,12 @@ def test_feet_that_all_turn_at_one_rate(degrees: float) -> None:
 
 
 def test_a_walk_before_a_fixed_camera() -> None:
-    assert carried_finding("phone", walk(FRAMES), bundled()) is None
+    assert turned_camera_finding("phone", walk(FRAMES), bundled()) is None
 
 
 def test_somebody_who_pirouettes_is_not_a_camera() -> None:
     """Nobody pans a camera by half a turn in a second; people turn that fast on one foot."""
-    assert carried_finding("phone", carried(walk(FRAMES), 180.0), bundled()) is None
+    assert turned_camera_finding("phone", carried(walk(FRAMES), 180.0), bundled()) is None
 
 
 def test_a_treadmill_carries_feet_but_turns_none() -> None:
@@ -63,15 +63,15 @@ def test_a_treadmill_carries_feet_but_turns_none() -> None:
     back = torch.arange(FRAMES)[:, None] * drift
     on_belt = motion.replace(translation=motion.translation - back)
     assert belt_velocity(on_belt, bundled()) is not None
-    assert carried_finding("phone", on_belt, bundled()) is None
+    assert turned_camera_finding("phone", on_belt, bundled()) is None
 
 
 def test_feet_that_were_not_seen_tell_nothing() -> None:
     seen = torch.ones(FRAMES, len(JOINTS), dtype=torch.bool)
     motion = carried(walk(FRAMES), -25.0)
-    assert carried_finding("phone", motion, bundled(), seen) is not None
+    assert turned_camera_finding("phone", motion, bundled(), seen) is not None
     seen[:, [JOINTS.index("left_foot"), JOINTS.index("right_foot")]] = False
-    assert carried_finding("phone", motion, bundled(), seen) is None
+    assert turned_camera_finding("phone", motion, bundled(), seen) is None
 
 
 def test_a_phone_that_is_carried_around_a_person() -> None:

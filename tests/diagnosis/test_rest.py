@@ -48,7 +48,7 @@ def images(view: Keypoints2D) -> Images:
 def test_feet_rest_before_a_fixed_camera(noise: float, layout: str) -> None:
     rest = slowest_foot_speeds(images(seen(cameras(walk(FRAMES), first=0.9)[0], noise, layout)))
     assert rest is not None
-    assert not rest.moves
+    assert not rest.camera_moves
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_nothing_rests_before_a_camera_that_moves(
     shown = images(seen(turning(degrees, hertz)))
     rest = slowest_foot_speeds(shown)
     assert rest is not None
-    assert rest.moves
+    assert rest.camera_moves
     finding = moving_finding("phone", shown, rest)
     assert finding.code == "camera moves"
     assert words in finding.message

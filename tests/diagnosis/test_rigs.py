@@ -13,7 +13,7 @@ from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.images import Images
 from recon.diagnosis.registration import PARTS, ViewAlignment
-from recon.diagnosis.rigs import corrections
+from recon.diagnosis.rigs import with_certain_corrections
 from tests.diagnosis.test_views import checked_clip, screened
 from tests.filmed import bundled, cameras, view, walk
 
@@ -56,7 +56,7 @@ def test_clock_and_pose_of_a_view_are_found_together(late: float, degrees: float
     """Either was looked for while the other was taken for right: of 80 ms and 1 degree neither
     was found, and nothing was said, as the rays still passed within 9 cm of each other."""
     given, good = images(rig(late, degrees)), images(rig(late))
-    found = corrections(given)
+    found = with_certain_corrections(given)
     (one,) = found.applied
     assert one.view == 1
     assert found.undecided == ()
@@ -87,7 +87,7 @@ def test_what_is_found_is_as_sure_as_it_says() -> None:
 
 
 def test_a_clean_rig_is_left_alone() -> None:
-    found = corrections(images(rig()))
+    found = with_certain_corrections(images(rig()))
     assert found.applied == ()
     assert found.undecided == ()
 
@@ -119,7 +119,7 @@ def test_the_clock_of_a_person_who_stands_still_is_left_as_it_is() -> None:
     pose = views[1].camera.T_camera_world.clone()
     pose[..., :3, :] = so3.exp(math.radians(1.0) * AXIS) @ pose[..., :3, :]
     views[1] = views[1].replace(camera=views[1].camera.replace(T_camera_world=pose))
-    (one,) = corrections(images(tuple(views))).applied
+    (one,) = with_certain_corrections(images(tuple(views))).applied
     assert one.view == 1
     assert one.late == 0
     assert one.degrees == pytest.approx(1.0, abs=0.15)

@@ -165,7 +165,7 @@ def test_two_skins_of_one_character_are_fine(made):
 
     after = Character.read(changed(made, doubled))
     assert after.bones == before.bones
-    np.testing.assert_array_equal(after.turns, before.turns)
+    np.testing.assert_array_equal(after.rest_rotations, before.rest_rotations)
 
 
 def test_compressed_meshes_are_left_alone_and_soles_come_from_their_boxes(made):
@@ -177,7 +177,7 @@ def test_compressed_meshes_are_left_alone_and_soles_come_from_their_boxes(made):
 
     after = Character.read(changed(made, compressed))
     assert after.skin == {}
-    assert after.lowest == pytest.approx(before.lowest, abs=1e-6)
+    assert after.lowest_height == pytest.approx(before.lowest_height, abs=1e-6)
     assert after.warnings == ()
 
 
@@ -212,8 +212,8 @@ def test_quantised_vertices_are_read(made):
     document["buffers"][0]["byteLength"] = len(data)
     write_glb_of(made, document, bytes(data))
     after = Character.read(made)
-    assert after.lowest == pytest.approx(before.lowest, abs=2e-4)
-    np.testing.assert_allclose(after.places, before.places, atol=1e-5)
+    assert after.lowest_height == pytest.approx(before.lowest_height, abs=2e-4)
+    np.testing.assert_allclose(after.rest_positions, before.rest_positions, atol=1e-5)
 
 
 def test_five_thousand_bones_more_take_seconds_at_most(made):
@@ -229,7 +229,7 @@ def test_five_thousand_bones_more_take_seconds_at_most(made):
 
     read = Character.read(changed(made, hairy))
     assert len(read.tree.names) == 5024
-    assert len(read.driven) == len(JOINTS)
+    assert len(read.animated_nodes) == len(JOINTS)
 
 
 def test_unknown_bones_are_refused_with_their_names(made):

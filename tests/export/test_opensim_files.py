@@ -13,7 +13,7 @@ from recon.body.landmarks import landmark, landmarks
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, MotionFile
-from recon.export.tables import markers_of, places_of
+from recon.export.tables import body_places_of_markers, recorded_markers
 from recon.formats.motions import save_motion
 from recon.mocap.marker_tables import read_trc
 from tests.standing_body import path, standing, times
@@ -118,13 +118,13 @@ def strict_mot(path: Path) -> tuple[list[str], np.ndarray]:
 
 
 def test_marker_sets_have_the_published_names():
-    assert list(places_of("halpe26"))[:22] == HALPE_OF_POSE2SIM
-    assert len(places_of("halpe26")) == 26
-    assert set(places_of("opencap")) == OPENCAP
-    assert len(OPENCAP) == len(places_of("opencap")) == 43
-    assert set(places_of("bsm")) == BSM
-    assert len(BSM) == len(places_of("bsm")) == 105
-    assert len(places_of("pig")) == 39
+    assert list(body_places_of_markers("halpe26"))[:22] == HALPE_OF_POSE2SIM
+    assert len(body_places_of_markers("halpe26")) == 26
+    assert set(body_places_of_markers("opencap")) == OPENCAP
+    assert len(OPENCAP) == len(body_places_of_markers("opencap")) == 43
+    assert set(body_places_of_markers("bsm")) == BSM
+    assert len(BSM) == len(body_places_of_markers("bsm")) == 105
+    assert len(body_places_of_markers("pig")) == 39
 
 
 def test_labels_of_one_side_lie_on_that_side():
@@ -132,7 +132,7 @@ def test_labels_of_one_side_lie_on_that_side():
     of its ribs.
     """
     for name in ("halpe26", "opencap", "pig", "bsm"):
-        for label, place in places_of(name).items():
+        for label, place in body_places_of_markers(name).items():
             points = " ".join((*place.joints, *place.landmarks))
             if ("left" in points) == ("right" in points):
                 continue
@@ -156,7 +156,7 @@ def test_a_strict_reader_takes_the_markers(clip, tmp_path, body, markers, unit, 
     assert header["DataRate"] == header["OrigDataRate"] == "120"
     assert times[0] == 2.5
     motion = make_motion(body)
-    truth = markers_of(motion, body, markers, "x")
+    truth = recorded_markers(motion, body, markers, "x")
     assert labels == list(truth.marker_names)
     # heights stand in the column of the axis that points up
     heights = places[..., "xyz".index(up)] * {"m": 1.0, "cm": 0.01, "mm": 0.001}[unit]
@@ -180,7 +180,7 @@ def test_markers_survive_the_way_there_and_back(body, tmp_path):
     """Time began at zero in every file, whatever the recording's clock said."""
     from recon.mocap.marker_tables import write_trc
 
-    truth = markers_of(make_motion(body, 100, 12.25), body, "pig", "clip")
+    truth = recorded_markers(make_motion(body, 100, 12.25), body, "pig", "clip")
     for unit in ("m", "mm"):
         write_trc(tmp_path / "clip.trc", truth, unit=unit)
         back = read_trc(tmp_path / "clip.trc")
@@ -195,11 +195,11 @@ def test_markers_survive_the_way_there_and_back(body, tmp_path):
 
 def test_markers_lie_on_the_skin_where_their_names_say(body):
     motion = make_motion(body)
-    found = markers_of(motion, body, "pig", "x")
+    found = recorded_markers(motion, body, "pig", "x")
     skin = body.pose(motion).vertices.numpy()
     place = found.positions[:, found.marker_names.index("LASI")]
     assert np.abs(place - skin[:, landmark("left_asis")]).max() < 1e-9
-    hip = markers_of(motion, body, "opencap", "x")
+    hip = recorded_markers(motion, body, "opencap", "x")
     centre = hip.positions[:, hip.marker_names.index("LHJC_study")]
     assert np.abs(centre - body.pose(motion).joints[:, 1].numpy()).max() < 1e-9
 
@@ -231,8 +231,8 @@ def test_sets_on_the_skin_and_angles_need_the_bundled_body(body, tmp_path, toy_b
     motion = make_motion(body).replace(shape=torch.zeros(16, dtype=torch.float64))
     for markers in ("halpe26", "pig"):
         with pytest.raises(ValueError, match="--markers joints"):
-            markers_of(motion, toy_body, markers, "x")
-    assert markers_of(motion, toy_body, "joints", "x").positions.shape == (7, 22, 3)
+            recorded_markers(motion, toy_body, markers, "x")
+    assert recorded_markers(motion, toy_body, "joints", "x").positions.shape == (7, 22, 3)
     from recon.body.angles import isb_angles
 
     with pytest.raises(ValueError, match="bundled body only"):

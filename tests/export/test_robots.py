@@ -12,7 +12,7 @@ from recon import cli
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.robots import on_body
+from recon.export.robots import motion_on_body
 from recon.formats.motions import load_motion
 from tests.export.smplx_stand_in import write_smplx
 
@@ -142,7 +142,7 @@ def test_a_motion_of_the_same_body_is_written_as_it_is(smplx):
     ours = load_motion(DEMO).motion
     shape = torch.zeros(target.shape_size)
     shape[:3] = torch.tensor([0.5, -1.0, 0.3])
-    found = on_body(ours.replace(shape=shape), target, target)
+    found = motion_on_body(ours.replace(shape=shape), target, target)
     assert torch.equal(found.rotations, ours.rotations)
     assert torch.equal(found.shape, shape[:16])
     shift = found.translation - ours.translation
@@ -151,7 +151,7 @@ def test_a_motion_of_the_same_body_is_written_as_it_is(smplx):
 
 def test_other_rates_become_30(smplx, body):
     ours = load_motion(DEMO).motion.resample(50.0)
-    found = on_body(ours, BodyModel.load(), BodyModel.load(smplx))
+    found = motion_on_body(ours, BodyModel.load(), BodyModel.load(smplx))
     assert found.fps == 30.0
     assert found.frames == pytest.approx(ours.frames * 0.6, abs=1)
     assert found.start_time == ours.start_time

@@ -11,7 +11,7 @@ from recon.body.angles import isb_angles
 from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.export.tables import markers_of
+from recon.export.tables import recorded_markers
 from recon.formats.motions import load_motion, save_motion
 from recon.mocap.bvh import read_bvh
 from recon.mocap.marker_tables import read_trc, write_trc
@@ -26,7 +26,7 @@ FRAMES = 100
 def test_trc(body, tmp_path, unit, up, fps):
     motion = make_motion(body, FRAMES, 31.5)
     motion = motion.replace(fps=fps)
-    truth = markers_of(motion, body, "opencap", "clip")
+    truth = recorded_markers(motion, body, "opencap", "clip")
     write_trc(tmp_path / "clip.trc", truth, unit=unit, up=up)
     back = read_trc(tmp_path / "clip.trc")
     assert back.frames == FRAMES

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.detections.records import Background, Detections
 from recon.detections.tables import detection_arrays, read_detection_arrays
-from recon.films.background import FollowedPoints, moving_background
+from recon.films.background import FollowedPoints, points_if_camera_moves
 from recon.films.carrying import find_path
 from recon.films.turning import find_turning
 from recon.formats.cameras import guessed_camera
@@ -61,7 +61,7 @@ def film(rotations: np.ndarray, *, flicker: float = 0.0, wall: bool = False) -> 
             200 * (np.arange(high[1] - low[1]) // 9 % 2)[:, None, None]
         )
         image = image * (1 + flicker * np.sin(frame)) + chance.normal(0, 3, image.shape)
-        followed.step(np.clip(image, 0, 255).astype(np.uint8), frame, 0)
+        followed.follow(np.clip(image, 0, 255).astype(np.uint8), frame, 0)
     pixels = np.concatenate(followed.pixels)
     return Background(np.concatenate(followed.frames), np.concatenate(followed.numbers), pixels)
 
@@ -86,7 +86,7 @@ def people(background: Background | None = None) -> Detections:
 
 @cache
 def panned() -> Background:
-    behind, said = moving_background(film(turned(30.0), flicker=0.02), people())
+    behind, said = points_if_camera_moves(film(turned(30.0), flicker=0.02), people())
     assert behind is not None
     assert said == ""
     return behind
@@ -117,11 +117,11 @@ def test_known_focal_length_is_kept():
 @pytest.mark.parametrize("flicker", [0.0, 0.2])
 def test_still_camera_is_not_moved_by_people_noise_or_flicker(flicker: float):
     seen = film(turned(0.0), flicker=flicker)
-    assert moving_background(seen, people()) == (None, "")
+    assert points_if_camera_moves(seen, people()) == (None, "")
 
 
 def test_too_few_points_of_the_background_are_said():
-    behind, said = moving_background(film(turned(30.0), wall=True), people())
+    behind, said = points_if_camera_moves(film(turned(30.0), wall=True), people())
     assert behind is None
     assert "too few" in said
 
@@ -130,7 +130,7 @@ def test_nobody_is_followed_from_one_shot_into_another():
     followed = FollowedPoints()
     image = panorama()[500:860, 900:1380]
     for shot in range(2):
-        followed.step(image, shot, shot)
+        followed.follow(image, shot, shot)
     assert not set(followed.numbers[0]) & set(followed.numbers[1])
 
 
@@ -163,7 +163,7 @@ def carried(step: float, noise: float = 0.2) -> tuple[Background, np.ndarray]:
 def test_path_of_a_carried_camera_is_found_up_to_its_unit():
     behind, places = carried(0.13)
     people_there = people(behind)
-    assert moving_background(behind, people())[0] is not None
+    assert points_if_camera_moves(behind, people())[0] is not None
     guess = guessed_camera((WIDTH, HEIGHT))
     camera, said = levelled(people_there, guess, np.arange(FRAMES), 30.0)
     assert "is carried" in said

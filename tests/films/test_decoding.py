@@ -97,7 +97,7 @@ def test_uneven_time_stamps_are_kept_and_said(tmp_path):
     assert [frame.time for frame in frames] == pytest.approx(stamps, abs=1e-3)
     assert film.frame_rate == pytest.approx(20 / stamps[-1], rel=1e-3)
     assert [frame.number for frame in frames] == list(range(21))
-    assert not film.clock.even
+    assert not film.clock.is_even
     assert "unevenly" in film.notes[0]
 
 
@@ -108,7 +108,7 @@ def test_rounded_time_stamps_do_not_add_up(tmp_path):
         write(tmp_path / "a.mkv", [picture(k % 20) for k in range(300)], stamps=stamps)
     )
     assert film.frames == 300
-    assert film.clock.even
+    assert film.clock.is_even
 
 
 def test_time_stamps_that_jump_for_weeks_are_refused(tmp_path):

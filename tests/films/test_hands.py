@@ -57,15 +57,15 @@ class Seeing(HandNetworks):
         hands = self.hands[self.frame]
         return min(hands, key=lambda one: np.linalg.norm(one.pixels[9] - place), default=None)
 
-    def palms(self, image, square):  # noqa: ARG002
+    def palms_in(self, image, square):  # noqa: ARG002
         self.searches += 1
         return [
-            Palm(one.region, one.pixels[0], 0.9)
+            Palm(one.next_region, one.pixels[0], 0.9)
             for one in self.hands[self.frame]
             if np.abs(one.pixels[9] - square.centre).max() < square.side / 2
         ]
 
-    def hand(self, image, region):  # noqa: ARG002
+    def hand_in(self, image, region):  # noqa: ARG002
         one = self._nearest(region.centre)
         if one is None or np.linalg.norm(one.pixels[9] - region.centre) > region.side / 2:
             return Hand(np.tile(region.centre, (21, 1)), 0.0)
@@ -112,13 +112,13 @@ def moved(body, by):
 
 
 def test_the_next_region_turns_and_grows_with_the_hand():
-    one = hand_at((300, 300), angle=0.0).region
+    one = hand_at((300, 300), angle=0.0).next_region
     palm = SHAPE[[0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]]
     low, high = palm.min(0), palm.max(0)
     ahead = SHAPE[[5, 13]].mean(0) / 2 + SHAPE[9] / 2
     assert one.angle == pytest.approx(np.arctan2(ahead[0], -ahead[1]))
     assert one.side == pytest.approx(2 * (high - low).max(), rel=0.05)
-    other = hand_at((300, 300), angle=1.0).region
+    other = hand_at((300, 300), angle=1.0).next_region
     cos, sin = np.cos(1.0), np.sin(1.0)
     turned = (one.centre - 300) @ np.array([[cos, sin], [-sin, cos]]) + 300
     assert other.angle == pytest.approx(one.angle + 1.0)
@@ -138,7 +138,7 @@ def test_a_palm_tells_where_its_hand_is(monkeypatch):
     logits[row] = 3.0
     monkeypatch.setattr(networks, "_detector", lambda *_: [boxes, logits])
     square = Region(np.array([100.0, 120.0]), 384.0, np.pi / 2)
-    (palm,) = networks.palms(np.zeros((200, 200, 3), np.uint8), square)
+    (palm,) = networks.palms_in(np.zeros((200, 200, 3), np.uint8), square)
     # turned by 90 degrees clockwise, what is to the right in the cut-out is below in the image
     x, y = 2 * (anchor - 96)
     assert palm.wrist == pytest.approx((100 - y, 120 + x))

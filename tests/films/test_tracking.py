@@ -44,7 +44,7 @@ def test_of_image_and_mirror_image_the_one_counts_that_stays_with_the_person(mir
     tracker = Tracker(networks, RATE)
     for frame in range(12):
         networks.mistaken = (mirror,) if frame >= 4 else ()
-        seen = tracker.step(IMAGE, frame, 0)
+        seen = tracker.detect_next(IMAGE, frame, 0)
         places = {one.track: one.pose.pixels.mean(0)[0] for one in seen}
         assert places == pytest.approx({0: 200 + REST[:, 0].mean(), 1: 360 + REST[:, 0].mean()})
 
@@ -55,7 +55,7 @@ def test_two_regions_are_never_on_one_person():
     tracks = []
     for frame in range(30):
         networks.mistaken = (False, True) if 5 <= frame < 20 else ()
-        tracks.append([one.track for one in tracker.step(IMAGE, frame, 0)])
+        tracks.append([one.track for one in tracker.detect_next(IMAGE, frame, 0)])
     assert tracks[4] == [0, 1]
     assert all(one == [0] for one in tracks[5:20])
     assert len(tracks[-1]) == 2
@@ -64,5 +64,5 @@ def test_two_regions_are_never_on_one_person():
 
 def test_a_cut_ends_all_tracks():
     tracker = Tracker(TwoPeople(), RATE)
-    assert [one.track for one in tracker.step(IMAGE, 0, 0)] == [0, 1]
-    assert [one.track for one in tracker.step(IMAGE, 1, 1)] == [2, 3]
+    assert [one.track for one in tracker.detect_next(IMAGE, 0, 0)] == [0, 1]
+    assert [one.track for one in tracker.detect_next(IMAGE, 1, 1)] == [2, 3]
