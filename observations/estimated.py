@@ -103,14 +103,14 @@ class EstimatedPoints(Markers3D):
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)
         common = away.sum(-2, keepdim=True) / there.sum(-2, keepdim=True).clamp(min=1)
         own = (away - common).where(there, 0.0)
-        path, points = self._precisions
+        path, points = self._inverse_covariances
         path, points = path[..., seen, seen], points[..., seen, seen]
         slid = torch.einsum("...tpd,...pts,...spd->...", own, points, own)
         drifted = torch.einsum("...tpd,...ts,...spd->...", common, path, common)
         return 0.5 * _SCALE**2 * (slid + drifted)
 
     @cached_property
-    def _precisions(
+    def _inverse_covariances(
         self,
     ) -> tuple[
         Float[Tensor, "*batch moments moments"], Float[Tensor, "*batch points moments moments"]

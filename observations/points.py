@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.checks import checked_clock, checked_places, checked_positions, checked_std
+from observations.checks import checked_clock, checked_indices, checked_positions, checked_std
 from observations.noise import estimate_noise
-from observations.start.rigid import limbs_towards, rigid_start
+from observations.start.rigid import rigid_start, with_limbs_towards_points
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, cached_constant
@@ -90,7 +90,7 @@ class PointsOfBody(Sensor):
         offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
         return points + self.offset_unit * (turns @ offsets)[..., 0]
 
-    def carried(
+    def on_bones_with_offsets(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
         """Return the points as moved by a body's bones, shifted by `offsets` (`Scene.offsets`)."""
@@ -186,7 +186,7 @@ class TrackedPoints(PointsOfBody):
         """
         kind = type(self).__name__
         positions, visible = checked_positions(kind, "positions", positions, "visible", visible)
-        numbers = checked_places(kind, *places, positions.shape[-2])
+        numbers = checked_indices(kind, *places, positions.shape[-2])
         fps, start_time = checked_clock(kind, *clock)
         if exist is not None:
             visible = visible & exist.to(visible.device)
@@ -284,7 +284,7 @@ class TrackedPoints(PointsOfBody):
             body, rest, bones, self.positions, self.visible, fps=self.fps,
             start_time=self.start_time,
         )  # fmt: skip
-        return limbs_towards(start, body, rest, bones, self.positions, self.visible)
+        return with_limbs_towards_points(start, body, rest, bones, self.positions, self.visible)
 
 
 def quadratic_model(

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, nearest_placed, rest_pose_at
+from observations.start.rigid import TORSO, nearest_placed_frames, rest_pose_at
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -75,7 +75,7 @@ def image_start(
 
     misfit, centre = _weak_perspective(pixels, weight, seen)
     chosen = smooth_path(misfit.where(placed[..., None], 0.0), angles, fps)
-    nearest = nearest_placed(placed)
+    nearest = nearest_placed_frames(placed)
     chosen = chosen.gather(-1, nearest)
     pick = chosen[..., None]
     distance = bone_distance(points, rest, pixels, confidence, camera)

@@ -193,7 +193,7 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
     return motion.resample(steps / seconds)
 
 
-def on_network_clock(motion: Motion) -> Motion:
+def relabelled_at_30_hz(motion: Motion) -> Motion:
     """Return the motion's frames unchanged with the rate set to 30 Hz, as networks read them."""
     return motion.replace(fps=REFERENCE_FPS)
 

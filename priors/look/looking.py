@@ -49,7 +49,7 @@ def load_network(weights: str | Path = "open", device: torch.device | str = "cpu
         ValueError: when they do not fit the network.
     """
     checkpoint = named_checkpoint(weights, "look")
-    shape, width, hypotheses = checkpoint.sizes("shape", "width", "hypotheses")
+    shape, width, hypotheses = checkpoint.integer_settings("shape", "width", "hypotheses")
     network = LookNetwork(shape, width, hypotheses=hypotheses)
     checkpoint.with_prefix("").copy_into(network)
     return network.eval().requires_grad_(False).to(device)
@@ -94,7 +94,7 @@ class UnseenLimbs(TensorStruct):
         rotations |= never[:, None]
         return cls(rotations, never, first.fps, first.start_time) if rotations.any() else None
 
-    def at(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
+    def at_frames_of(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
         """Mask (frames, 22) of the unseen joint rotations of a clip, in the frames of a motion."""
         found = _at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
         return found & motion.valid[0][:, None]
@@ -124,7 +124,7 @@ def _at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Ten
 
 
 @dataclass(frozen=True, eq=False)
-class LookedLimbs:
+class UnseenLimbProposals:
     """Proposes motions of limbs that were not seen, for a stage (`recon.method.stages.Proposals`).
 
     The network is shown the joints of an estimate whose places are known.
@@ -140,7 +140,7 @@ class LookedLimbs:
         None where all is seen, or where what is seen is far from what the network knows.
         """
         motion, body = estimate.motion.detach(), estimate.body.model
-        unseen = self.unseen.at(motion, clip)
+        unseen = self.unseen.at_frames_of(motion, clip)
         if not bool(unseen.any()):
             return None, ""
         parents = cached_constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
@@ -160,7 +160,7 @@ class LookedLimbs:
             found.rotations[0, likely].to(motion.rotations), motion.rotations[0], ~unseen
         )
         place = found.pelvis[0, likely].to(joints) - body.rest_joints(motion.shape)[:, :1]
-        away = between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
+        away = interpolated_between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
         many = motion.map(lambda tensor: tensor.expand(len(rotations), *tensor.shape[1:]))
         many = many.replace(rotations=rotations, translation=place + away[:, :, 0])
         return many, (
@@ -207,10 +207,10 @@ def with_seen_rotations(
     The result is R exp(δ), with δ = log(Rᵀ K) where a rotation is seen, and interpolated
     elsewhere; so it is K where that is known.
     """
-    return proposed @ so3.exp(between_seen(so3.log(proposed.mT @ known), seen))
+    return proposed @ so3.exp(interpolated_between_seen(so3.log(proposed.mT @ known), seen))
 
 
-def between_seen(
+def interpolated_between_seen(
     away: Float[Tensor, "hypotheses time joints n"], seen: Bool[Tensor, "time joints"]
 ) -> Float[Tensor, "hypotheses time joints n"]:
     """Keep vectors of frames marked as seen; interpolate the other frames linearly in time.
@@ -225,8 +225,8 @@ def between_seen(
     after = following.where(following < len(seen), last).where(ever, 0)
     share = (frames - before) / (after - before).clamp(min=1)
 
-    def at(index: Tensor) -> Tensor:
+    def away_at(index: Tensor) -> Tensor:
         return away.gather(1, index[None, :, :, None].expand_as(away))
 
-    mixed = at(before).lerp(at(after), share[None, :, :, None].to(away))
+    mixed = away_at(before).lerp(away_at(after), share[None, :, :, None].to(away))
     return mixed.where(ever[:, None], 0.0)

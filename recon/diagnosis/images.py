@@ -242,7 +242,7 @@ def better_changes(
     half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
     first = np.clip(changes - half, 0, moments - 2 * half).tolist()
     versions = [
-        view.derived(**view.some_frames(range(a, a + 2 * half)))
+        view.derived(**view.fields_at(range(a, a + 2 * half)))
         for view in (*images.sensors, *after.sensors)
         for a in first
     ]

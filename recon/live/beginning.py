@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined_in_time
+from observations.moments import Tracker, append_frames
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.api.preview import likeliest_motion, loaded_look, with_shape
@@ -74,7 +74,7 @@ def first_window(
     """
     seen = list(moments[0].seen)
     for moment in moments[1:]:
-        seen = [joined_in_time(a, b) for a, b in zip(seen, moment.seen, strict=True)]
+        seen = [append_frames(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
     looked = _first_look(seen, noise, person.shape, body)
     begun = looked or _first_fit(seen, noise, person.shape, body, poses)
@@ -90,7 +90,7 @@ def first_window(
         density=poses.density,
         weights=PoseWeights.for_noise(metres) if steps is None else steps.poses,
         scales=tuple(weights_of(noises)),
-        points=tuple(one.carried(body, shape, offsets) for one in trackers),
+        points=tuple(one.on_bones_with_offsets(body, shape, offsets) for one in trackers),
         joints=CarriedPoints.joints(body, shape),
         shape=shape,
         rest=body.rest_joints(shape),
@@ -144,7 +144,7 @@ def _first_fit(
     poses: PosePrior,
 ) -> _FirstMotion:
     """Fit a first motion to the first frames of a stream, under the pose prior."""
-    first = _FirstPoses(poses.density, poses.weighed)
+    first = _FirstPoses(poses.density, poses.effective_weights)
     options = FitOptions(prior=first, noise=noise, shape=shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from observations.moments import (
     Tracker,
-    as_streamed,
+    checked_for_stream,
     frame_from_array,
     frames_between,
     with_points_hidden,
@@ -52,7 +52,7 @@ class StreamSensors:
         seen = _one_or_more(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
-        sensors = tuple(as_streamed(one) for one in seen)
+        sensors = tuple(checked_for_stream(one) for one in seen)
         if len(rates := sorted({one.fps for one in sensors})) > 1:
             raise ObservationError(
                 f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
@@ -123,7 +123,7 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
         )
-    one = as_streamed(given)
+    one = checked_for_stream(given)
     if one.moments != 1:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:
@@ -134,4 +134,4 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
             f"the points changed: expected the {len(before)} former points in their order, got "
             f"{len(after)}; mark points that are not seen as missing, or begin another stream"
         )
-    return sensor.derived(start_time=one.start_time, **one.by_frame(lambda tensor: tensor))
+    return sensor.derived(start_time=one.start_time, **one.map_frames(lambda tensor: tensor))

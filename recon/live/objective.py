@@ -95,14 +95,14 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of the joints' accelerations."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+    def step_energy(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
         """Return a record whose `energy`, that of the motion's steps, is differentiable."""
         ...
 
     def add_curvature(
         self,
         motion: Motion,
-        judged: Any,
+        evaluated: Any,
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
@@ -187,7 +187,7 @@ class Objective:
             total = total + scale * sensor.energy(places)
         if self.steps is not None:
             motion = self.motion(window, rotations)
-            total = total + self.steps.judged(motion, joints[None], held).energy
+            total = total + self.steps.step_energy(motion, joints[None], held).energy
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
@@ -237,10 +237,10 @@ class Objective:
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
         if self.steps is not None:
-            judged, slope = self._prior_energy_and_gradient(window, held)
-            value, gradient = value + judged.energy.detach(), gradient + slope
+            evaluated, slope = self._prior_energy_and_gradient(window, held)
+            value, gradient = value + evaluated.energy.detach(), gradient + slope
             motion = self.motion(window, rotations)[0]
-            self.steps.add_curvature(motion, judged, hessian, of_joints)
+            self.steps.add_curvature(motion, evaluated, hessian, of_joints)
         inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
         inner.add_products(of_joints[held:], column, column[..., :0])
         inner.inner[:, 0] += alone
@@ -264,9 +264,9 @@ class Objective:
             zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
             moved = window.moved(zero)
             rotations, _, joints = self.posed(moved)
-            judged = self.steps.judged(self.motion(moved, rotations), joints[None], held)
-            (slope,) = torch.autograd.grad(judged.energy, zero)
-        return judged, slope[held:]
+            evaluated = self.steps.step_energy(self.motion(moved, rotations), joints[None], held)
+            (slope,) = torch.autograd.grad(evaluated.energy, zero)
+        return evaluated, slope[held:]
 
 
 def _by_variables(

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from observations.moments import Tracker, frames_between, joined_in_time
+from observations.moments import Tracker, append_frames, frames_between
 from recon.body.derivatives import CarriedPoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
 from recon.solver.banded import Banded, Factor
@@ -100,7 +100,7 @@ class SmoothedWindow:
             most: largest number of active frames.
             learn_until: number of frames after which the shape is held.
         """
-        data = tuple(joined_in_time(a, b) for a, b in zip(self.seen, seen, strict=True))
+        data = tuple(append_frames(a, b) for a, b in zip(self.seen, seen, strict=True))
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
@@ -197,7 +197,7 @@ def objective_of_shape(
     body = objective.body
     return replace(
         objective,
-        points=tuple(one.carried(body, shape, objective.offsets) for one in seen),
+        points=tuple(one.on_bones_with_offsets(body, shape, objective.offsets) for one in seen),
         joints=CarriedPoints.joints(body, shape),
         shape=shape,
         rest=body.rest_joints(shape),

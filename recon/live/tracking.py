@@ -12,8 +12,8 @@ from torch import Tensor
 
 from observations.moments import (
     Tracker,
-    collapsed,
-    with_moment,
+    points_coincide,
+    replace_frame,
     with_points_hidden,
 )
 from priors.pose.prior import PosePrior
@@ -152,7 +152,7 @@ class Tracking(TrackedPerson):
         if row < 0 or self.joints_seen(self.smoothed.seen, row).any():
             return False
         seen = tuple(
-            with_moment(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
+            replace_frame(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
         )
         self.smoothed = replace(self.smoothed, seen=seen)
         self.times[len(self.times) - 1 - back] = moment.time
@@ -225,7 +225,7 @@ class Tracking(TrackedPerson):
             )
         self.since_seen = 0 if any(bool(s.shown.any()) for s in seen) else self.since_seen + 1
         rows = tuple(
-            with_moment(a, after.active - 1, b) for a, b in zip(after.seen, seen, strict=True)
+            replace_frame(a, after.active - 1, b) for a, b in zip(after.seen, seen, strict=True)
         )
         self.smoothed = replace(after, seen=rows)
 
@@ -241,7 +241,7 @@ class Tracking(TrackedPerson):
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):
             away = one.distances(points.of(orientations, joints))
-            bad = one.shown & ((away > allowed) | collapsed(one))
+            bad = one.shown & ((away > allowed) | points_coincide(one))
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)

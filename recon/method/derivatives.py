@@ -229,7 +229,7 @@ class Neighbourhood:
             sensor: the sensor.
             frame: number of the motion's frame for every frame of the sensor.
         """
-        carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
+        carries, points_of = is_pointwise(sensor), getattr(sensor, "on_bones_with_offsets", None)
         held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
         estimates = self.translated if carries else self.perturbed_columns
         rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)

@@ -101,7 +101,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     one: Any = sensor[clip]
     if hasattr(one, "settled"):
         one = one.settled(scene[clip])
-    carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
+    carried = sensor.on_bones_with_offsets(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
     if scene.ground is not None:
         places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations.camera_paths import keypoint_feet, with_path_in_metres
+from observations.camera_paths import feet_in_camera, with_path_in_metres
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
@@ -52,7 +52,7 @@ def keypoints_of(
         lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
         fingers=_straight_fingers(file),
     )
-    return view if view.unit_known else with_path_in_metres(view, keypoint_feet(view, body))
+    return view if view.unit_known else with_path_in_metres(view, feet_in_camera(view, body))
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from priors.labels.looking import CloudLabeller, in_network_frame, neighbouring_moments
 from priors.labels.networks import (
     LabelNetwork,
+    farthest_point_samples,
     kernel_weights,
     local_patches,
-    spread_points,
     squared_distances,
 )
 from priors.labels.regions import MIRRORED_REGIONS
@@ -105,14 +105,14 @@ def test_points_on_a_line_have_no_normal():
 
 def test_spread_points_are_present_and_far_apart():
     points, present = a_cloud()
-    index = spread_points(points, present, 10)
+    index = farthest_point_samples(points, present, 10)
     assert present.gather(-1, index).all()
     chosen = points.take_along_dim(index[..., None], -2)
     near = squared_distances(chosen, chosen) + 10 * torch.eye(10)
     assert near.min().sqrt() > 0.15
     few = torch.zeros_like(present)
     few[:, 5] = True
-    assert (spread_points(points, few, 3) == 5).all()
+    assert (farthest_point_samples(points, few, 3) == 5).all()
 
 
 def test_labels_do_not_depend_on_the_order_of_points_nor_on_absent_rows(labeller):

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humos.frames import BodyFrames, existing_windows, turn_of
+from priors.humos.frames import BodyFrames, existing_windows, rotation_about_vertical
 from priors.humos.prior import FPS
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
@@ -171,7 +171,7 @@ class BodyCorpus(TensorStruct):
 
 def relative_to_first_frame(frames: BodyFrames) -> BodyFrames:
     """Return frames whose directions and places are relative to the first frame's."""
-    back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
+    back = rotation_about_vertical(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(
         direction=(frames.direction[..., None, :] @ back)[..., 0, :],

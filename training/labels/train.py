@@ -10,7 +10,13 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from priors.labels.looking import in_network_frame, label_probabilities
-from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
+from priors.labels.networks import (
+    STEPS,
+    LabelNetwork,
+    RawLabels,
+    SeenClouds,
+    direction_from_right_to_left,
+)
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
 from training.labels.clouds import (
@@ -190,7 +196,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
         for one, other in zip(*costs, strict=True)
     )
     stray = binary_cross_entropy_with_logits(raw.on_body[present], on_body[present].float())
-    truth = from_right_to_left(seen.points, place, on_body.to(place))[shown]
+    truth = direction_from_right_to_left(seen.points, place, on_body.to(place))[shown]
     missed = (raw.across[shown] - truth[:, None]).square().sum(-1)
     across = missed[:, 0].mean() + missed[:, 1:].mean()
     total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides + _ACROSS * across
