@@ -212,7 +212,9 @@ class Run(Generic[S, N]):
         here = self.step
         for length, most in self.parts:
             if here < length:
-                return most * cosine(here / length) * min(1.0, (here + 1) / self.warm_up_steps)
+                return (
+                    most * cosine_decay(here / length) * min(1.0, (here + 1) / self.warm_up_steps)
+                )
             here -= length
         return 0.0
 
@@ -246,7 +248,7 @@ class Run(Generic[S, N]):
             self._write_state(BEST)
 
 
-def cosine(progress: float) -> float:
+def cosine_decay(progress: float) -> float:
     """Factor of a learning rate that falls from 1 to a hundredth as progress goes from 0 to 1."""
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress))
 

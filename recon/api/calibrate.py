@@ -28,7 +28,7 @@ from recon.reading.clip import format_errors
 from recon.reading.images import keypoints_of, undistorted
 from recon.reading.places import files_of_views
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
-from recon.reading.stated import level_turn
+from recon.reading.stated import rotation_to_level
 from recon.reading.views import Views, read_views
 
 _LONGEST_SHIFT = 1.0
@@ -157,7 +157,7 @@ def calibrate(
         }
     )  # fmt: skip
     with format_errors():
-        views = [read_views([path], how).person(person) for path in paths]
+        views = [read_views([path], how).views_of_person(person) for path in paths]
     files = _padded_keypoints_by_camera(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
@@ -258,7 +258,7 @@ def _level_frame(
         rise = [place[f"{s}_shoulder"] - place[f"{s}_ankle"] for s in ("left", "right")]
         ups = [np.nanmean(rise, axis=(0, 1))]
     up = np.mean(ups, axis=0)
-    return level_turn(up / np.linalg.norm(up)), float(np.median(ratios))
+    return rotation_to_level(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
 def _poses_above_ground(

@@ -23,7 +23,7 @@ from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import clip_of_files, format_errors
-from recon.reading.icp import OrientedCloud, aligned, rough_poses
+from recon.reading.icp import OrientedCloud, poses_aligned, rough_poses
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -143,7 +143,7 @@ def register(
             f"{names[int(level.argmin())]}: this camera sees no ground, so its pose "
             "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
-    found, shared = aligned(views, start, base, level)
+    found, shared = poses_aligned(views, start, base, level)
     for name, share in zip(names, shared, strict=True):
         if share < _SHARED:
             raise ObservationError(

@@ -59,7 +59,7 @@ def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool
     return widened_flags(hidden, max(1, round(_AROUND * fps)))
 
 
-def joined_in_time(
+def fitted_about_gaps(
     energies: PoseEnergies,
     points: Callable[[Tensor], SkinPoints],
     offsets: Float[Tensor, "markers 3"],

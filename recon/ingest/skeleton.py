@@ -38,7 +38,7 @@ class FittedSkeleton:
     """Recorded positions of ankles and toes, metres."""
 
 
-def solve(
+def fit_skeletons(
     recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
 ) -> list[FittedSkeleton]:
     """Fit poses to recordings with one frame rate, as a batch of independent clips.

@@ -76,8 +76,8 @@ def first_window(
     for moment in moments[1:]:
         seen = [append_frames(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    looked = _first_look(seen, noise, person.shape, body)
-    begun = looked or _first_fit(seen, noise, person.shape, body, poses)
+    looked = _proposed_motion(seen, noise, person.shape, body)
+    begun = looked or _fitted_motion(seen, noise, person.shape, body, poses)
     motion, offsets, rows, noises = begun
     trackers: tuple[Tracker, ...] = tuple(
         one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
@@ -112,7 +112,7 @@ _FirstMotion = tuple[Motion, Tensor, Sequence[Any], tuple[Noise, ...]]
 """A motion, offsets of points from the body, the rows of every sensor in these, the noises."""
 
 
-def _first_look(
+def _proposed_motion(
     seen: Sequence[Tracker],
     noise: tuple[float | None, ...],
     shape: Float[Tensor, " shape"] | None,
@@ -136,7 +136,7 @@ def _first_look(
     return motion, motion.shape.new_zeros(0, 3), [None] * len(batch), tuple(noises)
 
 
-def _first_fit(
+def _fitted_motion(
     seen: Sequence[Tracker],
     noise: tuple[float | None, ...],
     shape: Float[Tensor, " shape"] | None,

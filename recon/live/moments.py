@@ -49,7 +49,7 @@ class StreamSensors:
             ObservationError: when there is none, one is no named points or no calibrated camera,
                 or their rates differ.
         """
-        seen = _one_or_more(given)
+        seen = _as_tuple(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
         sensors = tuple(checked_for_stream(one) for one in seen)
@@ -93,7 +93,7 @@ class StreamSensors:
                 frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)
             )
             return Moment(next_time if time is None else finite_number(time, "time"), seen)
-        rows = _one_or_more(given)
+        rows = _as_tuple(given)
         self._check_count(rows)
         seen = tuple(_checked_like(s, row) for s, row in zip(self.trackers, rows, strict=True))
         starts = [one.start_time for one in seen]
@@ -113,7 +113,7 @@ class StreamSensors:
             )
 
 
-def _one_or_more(given: Any) -> tuple[Any, ...]:
+def _as_tuple(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, TensorStruct) else tuple(given)
 
 

@@ -160,14 +160,14 @@ class Objective:
         return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property
-    def rate(self) -> float:
+    def scale_to_30_hz(self) -> float:
         """Factor that scales sums over frames to 30 Hz, the rate that weights are for."""
         return REFERENCE_FPS / self.fps
 
     @property
     def stiffness(self) -> float:
         """Weight of ½ |second difference of a joint|² at the window's frame rate."""
-        return self.weights.acceleration / self.rate**3
+        return self.weights.acceleration / self.scale_to_30_hz**3
 
     def posed(self, window: Window) -> tuple[Tensor, Tensor, Tensor]:
         """Return the joints' local rotations, world orientations and world positions (metres)."""
@@ -179,7 +179,7 @@ class Objective:
         """Return a window's energy; `seen` holds the data of its last frames."""
         rotations, orientations, joints = self.posed(window)
         held = window.frames - seen[0].moments
-        total = self.weights.pose * self.rate * window.pose[held:].square().sum()
+        total = self.weights.pose * self.scale_to_30_hz * window.pose[held:].square().sum()
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
@@ -202,7 +202,7 @@ class Objective:
         steps = (pose @ self.density.basis.mT).unflatten(-1, (-1, 3))
         turns = (right_jacobian(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
         own = orientations[held:], joints[held:]
-        weight = self.weights.pose * self.rate
+        weight = self.weights.pose * self.scale_to_30_hz
         count = len(self.shape) if with_shape else 0
         value = weight * pose.square().sum()
         gradient = pad(2 * weight * pose, (6, 0))

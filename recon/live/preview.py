@@ -83,7 +83,7 @@ class PreviewTracking(TrackedPerson):
         self.seen = tuple(frames_between(one, 0, stop) for one in self.seen)
         return self._final_estimates(0, findings)
 
-    def known(self) -> KnownShape:
+    def known_shape(self) -> KnownShape:
         """Return the shape of the person as estimated so far."""
         held = self.person.shape if self.shape is None else self.shape
         return KnownShape(held)

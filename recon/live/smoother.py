@@ -38,7 +38,7 @@ class ShapeKnowledge:
         """The energy."""
         return float(0.5 * shape @ self.information @ shape - self.pull @ shape)
 
-    def learned(
+    def with_first_frame(
         self, equations: Equations, shape: Float[Tensor, " shape"], weight: float
     ) -> "ShapeKnowledge":
         """Add what a window's first frame says about the shape, its pose marginalised (Schur).
@@ -108,8 +108,8 @@ class SmoothedWindow:
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective
-                weight = objective.weights.shape * objective.rate
-                knowledge = knowledge.learned(self.equations, objective.shape, weight)
+                weight = objective.weights.shape * objective.scale_to_30_hz
+                knowledge = knowledge.with_first_frame(self.equations, objective.shape, weight)
                 learning = knowledge.frames < learn_until
         return replace(
             self, window=window, seen=data, knowledge=knowledge, learning=learning, equations=None
@@ -122,7 +122,7 @@ class SmoothedWindow:
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
-    def stepped(self) -> "SmoothedWindow":
+    def after_unchecked_step(self) -> "SmoothedWindow":
         """Return the window after one Gauss-Newton step, without checking that the energy falls.
 
         The check would make a push a quarter longer, and a search for a shorter step where the
@@ -149,7 +149,7 @@ class SmoothedWindow:
     @property
     def shape_weight(self) -> float:
         """Weight of |b|², the density of shapes, for all active frames."""
-        return self.objective.weights.shape * self.objective.rate * self.active
+        return self.objective.weights.shape * self.objective.scale_to_30_hz * self.active
 
 
 class _WindowProblem(Problem[SmoothedWindow]):

@@ -136,7 +136,7 @@ class Tracking(TrackedPerson):
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None
-            else self._current_window.stepped()
+            else self._current_window.after_unchecked_step()
         )
         return self._final_estimates(self.lag)
 
@@ -177,7 +177,7 @@ class Tracking(TrackedPerson):
             self.times.pop()
         return self._final_estimates(0)
 
-    def known(self) -> KnownShape:
+    def known_shape(self) -> KnownShape:
         """Return what is known of the person's shape so far."""
         now = self.smoothed
         if now is None:
@@ -259,7 +259,7 @@ class Tracking(TrackedPerson):
                 "anew there",
             )
         )
-        self.person, self.smoothed, self.times, self.final = self.known(), None, [], 0
+        self.person, self.smoothed, self.times, self.final = self.known_shape(), None, [], 0
         self.since_seen, self.gathered = 0, there
         return done
 

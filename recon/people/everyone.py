@@ -104,7 +104,7 @@ def everyone(seen: SeenViews) -> Everyone:
     Raises:
         ValueError: when a view shows nobody, or nobody is seen for half a second.
     """
-    views = seen.followed()
+    views = seen.tracked_views()
     notes: list[str] = []
     if len(views) == 1:
         groups: list[tuple[int, list[Track | None]]] = [(t.number, [t]) for t in views[0].tracks]
@@ -118,7 +118,7 @@ def everyone(seen: SeenViews) -> Everyone:
         if seconds < _LEAST_SECONDS or _completeness(tracks) < _LEAST_SHARE * best:
             notes.append(f"left out, seen too little: {note}")
             continue
-        people.append(SeenPerson(number, seen.of(tracks, [note]), note))
+        people.append(SeenPerson(number, seen.views(tracks, [note]), note))
     if len(people) == 0:
         raise ObservationError(
             f"{', '.join(seen.names)}: nobody is seen for {_LEAST_SECONDS} s; there are "

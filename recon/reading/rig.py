@@ -158,13 +158,13 @@ def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...
     coarse = max(1, longest // _COARSE)
     found = [0]
     for view in views[1:]:
-        off = cache(lambda frames, view=view: _disagreement(views[0], view.shifted(frames)))
+        off = cache(lambda frames, view=view: _epipolar_misfit(views[0], view.shifted(frames)))
         best = min(range(-longest // coarse * coarse, longest + 1, coarse), key=off)
         found.append(best if off(best) < _BETTER * off(0) else 0)
     return tuple(found)
 
 
-def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
+def _epipolar_misfit(one: FilmedPerson, other: FilmedPerson) -> float:
     """Mean Sampson distance of shared points from their epipolar lines.
 
     In standard deviations of a detector, each at most two; infinite where the views share too few.

@@ -77,7 +77,7 @@ def across_views(
                 "two persons are seen about equally well; choose one with --person, by number in "
                 f"{views[0].name}. There are {_listed_people(views)}"
             )
-    pairs.check_others(best)
+    pairs.check_left_out_views(best)
     error = pairs.check_body(best, up_given=up_given)
     notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
     for v, view in enumerate(views):
@@ -92,7 +92,7 @@ def _with_flipped_y(views: Sequence[TrackedView]) -> Iterator[tuple[list[Tracked
     over = [
         replace(
             view,
-            tracks=tuple(track.turned_over(view.camera.image_size[1]) for track in view.tracks),
+            tracks=tuple(track.flipped_in_y(view.camera.image_size[1]) for track in view.tracks),
         )
         for view in views
     ]
@@ -171,7 +171,7 @@ class _TriangulatedPairs:
         self.views = views
         self._made: dict[tuple[int, int, int, int], Triangulated] = {}
 
-    def get(self, v: int, a: int, w: int, b: int) -> Triangulated:
+    def pair(self, v: int, a: int, w: int, b: int) -> Triangulated:
         """Keypoints triangulated from track a of view v and track b of view w."""
         if v > w:
             v, a, w, b = w, b, v, a
@@ -201,11 +201,11 @@ class _TriangulatedPairs:
     def _errors_with_group(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
         """How badly each track of a view fits a group: its largest error with any member view."""
         return {
-            b: max(min(self.get(v, k, w, b).error for k in group[v]) for v in group)
+            b: max(min(self.pair(v, k, w, b).error for k in group[v]) for v in group)
             for b in range(len(self.views[w].tracks))
         }
 
-    def check_others(self, group: Mapping[int, tuple[int, ...]]) -> None:
+    def check_left_out_views(self, group: Mapping[int, tuple[int, ...]]) -> None:
         """Check that a view that is left out shows other people, else refuse.
 
         Raises:
@@ -218,7 +218,7 @@ class _TriangulatedPairs:
                 if w in group or track.completeness < enough:
                     continue
                 errors = [
-                    self.get(v, a, w, b).error
+                    self.pair(v, a, w, b).error
                     for v, other in enumerate(self.views)
                     for a in range(len(other.tracks))
                     if v != w and a not in group.get(v, ())
@@ -233,7 +233,7 @@ class _TriangulatedPairs:
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
         """Median error of a group whose body has a human size and stands along z."""
         members = [(v, tracks[0]) for v, tracks in group.items()]
-        made = [self.get(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
+        made = [self.pair(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
         pair = min(made, key=lambda pair: pair.error)
         every = triangulated([(self.views[v], number) for v, number in members])
         errors = [float(np.median(miss[every.seen])) for miss in every.misses if every.seen.any()]

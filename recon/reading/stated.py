@@ -35,7 +35,7 @@ def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     return None if found is None or found.image_size is None else found
 
 
-def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> float | None:
+def rate_of_views(paths: Sequence[Path], known: Mapping[Path, Detections]) -> float | None:
     """The frame rate that all views state; None where one states none.
 
     Raises:
@@ -135,7 +135,7 @@ def in_one_shot(
     )
 
 
-def levelled(
+def background_camera(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
     """A camera with the path, up direction and focal length that the film's background shows.
@@ -188,7 +188,7 @@ def levelled(
         camera = _with_focal(camera, told.focal)
         level += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
     upright = np.eye(4)
-    upright[:3, :3] = level_turn(told.up)
+    upright[:3, :3] = rotation_to_level(told.up)
     path = CameraPath(upright @ T, metric=metric, level=True)
     return replace(camera, path=path), "; ".join(one for one in (said, level) if one)
 
@@ -257,7 +257,7 @@ def _turned_segments(
     return focal * rays[..., :2] / rays[..., 2:]
 
 
-def level_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def rotation_to_level(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation from a camera's frame to a level world, z up, in which the camera looks along y.
 
     Args:

@@ -390,6 +390,6 @@ def _frame_counts(camera: Camera) -> set[int]:
     }
 
 
-def thinned(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
+def at_most_points(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
     """Keep every n-th point, so that at most `most` points are left."""
     return points[:: max(1, -(-len(points) // most))]

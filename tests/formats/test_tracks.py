@@ -16,7 +16,7 @@ from recon.formats.cameras import CameraPath
 from recon.formats.tracks import read_track
 from recon.reading.clip import load_clip
 from recon.reading.images import keypoints_of
-from recon.simulation.images import keypoints2d, orbiting
+from recon.simulation.images import keypoints2d, orbiting_camera
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
 from tests.formats.track_files import (
@@ -37,7 +37,7 @@ def moving(frames: int = FRAMES) -> Camera:
     """A phone that is carried around the walk by a quarter turn."""
     motion = walk(frames)
     middle = bundled().pose(motion).joints.flatten(0, 1).mean(0)
-    return orbiting(cameras(motion, first=0.7)[0], middle, frames, math.radians(90.0))
+    return orbiting_camera(cameras(motion, first=0.7)[0], middle, frames, math.radians(90.0))
 
 
 def poses() -> np.ndarray:

@@ -24,10 +24,10 @@ from training.labels.clouds import (
     CloudCorpus,
     CloudVariation,
     LabelledClouds,
+    at_most_points,
     augmented,
     half_hidden,
     mirrored_where,
-    thinned,
 )
 from training.labels.train import LabelRun, LabelTraining, export_weights
 
@@ -157,7 +157,7 @@ def test_moments_look_at_those_around_them_in_time():
 
 
 def test_mirrored_clouds_have_the_labels_of_the_other_side():
-    clouds = a_corpus().take(torch.arange(6), 200, None)
+    clouds = a_corpus().windows(torch.arange(6), 200, None)
     which = torch.tensor([True, False] * 3)
     other = mirrored_where(which, clouds)
     assert torch.equal(other.points[1], clouds.points[1])
@@ -171,7 +171,7 @@ def test_mirrored_clouds_have_the_labels_of_the_other_side():
 
 
 def test_half_hidden_clouds_have_half_of_the_points():
-    clouds = a_corpus().take(torch.arange(6), 400, None)
+    clouds = a_corpus().windows(torch.arange(6), 400, None)
     hidden = half_hidden(clouds, torch.Generator().manual_seed(0))
     share = (hidden.regions >= 0).flatten(1).sum(-1) / (clouds.regions >= 0).flatten(1).sum(-1)
     assert (share - 0.5).abs().max() < 0.01
@@ -179,9 +179,9 @@ def test_half_hidden_clouds_have_half_of_the_points():
 
 
 def test_variations_keep_what_is_true_of_points():
-    clouds = a_corpus().take(torch.arange(6), 300, None)
+    clouds = a_corpus().windows(torch.arange(6), 300, None)
     variation = CloudVariation(tilted=1.0, hidden=1.0, lost_limb=1.0)
-    other = thinned(augmented(clouds, variation, torch.Generator().manual_seed(1)), 250)
+    other = at_most_points(augmented(clouds, variation, torch.Generator().manual_seed(1)), 250)
     assert other.points.shape[2] == 250
     assert not other.level.any()
     # the points were their own places up to a turn and a mirror image

@@ -93,13 +93,13 @@ def test_uneven_ground_and_other_parts_are_left_out(folder: Path) -> None:
 
 def test_windows_are_what_was_recorded(folder: Path) -> None:
     body = BodyModel.load()
-    windows = corpus_of(folder, body).every(11)
+    windows = corpus_of(folder, body).all_windows(11)
     clip = swinging(240, 0, 120.0).to(dtype=torch.float32)  # 08_01
     expected = states_of(clip[None], body)[0]
     for name, value in windows.states[0].tensors().items():
         target = expected.tensors()[name][1:42:4]
         torch.testing.assert_close(value, target, rtol=0, atol=2e-3)  # m/s, of float32 / 120 Hz
-    between = corpus_of(folder, body).every(11).states[5]  # 09_01, recorded at 30 Hz
+    between = corpus_of(folder, body).all_windows(11).states[5]  # 09_01, recorded at 30 Hz
     known = swinging(240, 1, 120.0)  # the same function of time
     torch.testing.assert_close(between.pose[3], known.rotations[13, 1:].float(), rtol=0, atol=2e-3)
 
@@ -170,7 +170,7 @@ def test_other_bodies_stand_on_the_ground_too(tmp_path: Path) -> None:
 
 def test_losses_are_zero_at_the_truth(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.identity())
     with torch.no_grad():
         found, target = unroll(networks, windows, torch.ones(4, dtype=torch.bool), None)
     certain = (2 * windows.contacts[:, 1:] - 1) * 100
@@ -191,7 +191,7 @@ def test_losses_are_zero_at_the_truth(folder: Path) -> None:
 
 def test_own_predictions_are_fed_back_without_gradient(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.identity())
     truth, target = unroll(networks, windows, torch.tensor([True] * 4), None)
     own, same = unroll(networks, windows, torch.tensor([True, False, True, False]), None)
     torch.testing.assert_close(own.after.joints[:, 0], truth.after.joints[:, 0])
@@ -248,7 +248,7 @@ def test_scales_change_nothing_but_the_numbers_that_are_learned(folder: Path) ->
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED, windows=20)
     scaling = Scaling.of(windows.states, rest_pelvis(windows.states[:, 0]))
     plain = HumorNetworks(64)
-    scaled = ScaledNetworks.around(plain, scaling)
+    scaled = ScaledNetworks.wrapping(plain, scaling)
     assert not torch.equal(scaled.core.prior_net.net[0].weight, plain.prior_net.net[0].weight)
     x = windows.states.pack()[:, 0]
     after, latent = x + 0.01 * torch.randn_like(x), torch.randn(len(x), 48)

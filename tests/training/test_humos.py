@@ -66,7 +66,7 @@ def test_clips_of_the_part_and_licence_that_stand_on_the_ground(folder):
 
 def test_windows_are_what_was_recorded(folder):
     corpus = corpus_of(folder)
-    batch = corpus.every(60, 10, torch.Generator().manual_seed(0))
+    batch = corpus.all_windows(60, 10, torch.Generator().manual_seed(0))
     walk = a_walk(BODY, seconds=3.0, period=0.8, speed=0.8).resample(20.0)
     expected, _ = BodyFrames.of(walk, BODY)
     close = {"atol": 2e-3, "rtol": 0}

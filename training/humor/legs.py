@@ -12,8 +12,8 @@ from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from training.humor.moments import (
     CHANNELS,
-    Chance,
     Moments,
+    RandomDraws,
     at_frames,
     forward_of,
     is_plausible,
@@ -142,7 +142,7 @@ def with_pelvis_moved(
 
     Both feet stay exactly where they were, in contact or not, and so do their labels.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
     ahead = forward_of(root)
@@ -150,7 +150,7 @@ def with_pelvis_moved(
     up = ahead.new_tensor([0.0, 0.0, 1.0])
 
     depth = chance.log_uniform(*_DEPTH)
-    lowered = 0.3 + 0.7 * chance.wave(moments.seconds, *_BEND_PERIODS)
+    lowered = 0.3 + 0.7 * chance.waves(moments.seconds, *_BEND_PERIODS)
     stoop = (chance.uniform(0.0, _STOOP / _DEPTH[1]) * depth)[:, None] * lowered
     turn = chance.uniform(-_TURN, _TURN)[:, None] * _varying_factor(chance, moments)
     roll = chance.uniform(-_ROLL, _ROLL)[:, None] * _varying_factor(chance, moments)
@@ -167,9 +167,9 @@ def with_pelvis_moved(
     return made, reached.all(1) & is_plausible(moments, made)
 
 
-def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
+def _varying_factor(chance: RandomDraws, moments: Moments) -> Tensor:
     """Random factors between 0.5 and 1 that vary smoothly over the times of a window."""
-    return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
+    return 0.5 + 0.5 * chance.waves(moments.seconds, *_BEND_PERIODS)
 
 
 _HIGHEST = math.radians(100)
@@ -211,7 +211,7 @@ def with_leg_raised(
     The other foot stands on the ground all the time, and stays exactly where it is. The pelvis
     goes the other way by as much as keeps the centre of mass in its place.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     either = chance.uniform(0.0, 1.0) < 0.5
     right = torch.where(_foot_stands(moments, 0), either | ~_foot_stands(moments, 1), False)
     orientations, joints = posed = moments.posed()
@@ -219,7 +219,7 @@ def with_leg_raised(
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     side = torch.where(right, -1.0, 1.0)[:, None]
 
-    wave = chance.wave(moments.seconds, *_RAISE_PERIODS)
+    wave = chance.waves(moments.seconds, *_RAISE_PERIODS)
     direction = chance.uniform(*_DIRECTIONS)[:, None]
     behind = ((direction - 0.5 * math.pi) / (_DIRECTIONS[1] - 0.5 * math.pi)).clamp(min=0)
     height = chance.uniform(0.1 * _HIGHEST, _HIGHEST)[:, None] * wave
@@ -308,7 +308,7 @@ def with_step_added(
     The foot that steps loses its contacts while it is in the air, the other one stays exactly
     where it is, and the pelvis goes half of the way.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     right = chance.uniform(0.0, 1.0) < 0.5
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]

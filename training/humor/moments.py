@@ -60,13 +60,13 @@ def with_edited(
     """Replace the windows `rows` by their edited versions, where the edit was accepted."""
     kept = rows[accepted]
 
-    def exchanged(old: Tensor, new: Tensor) -> Tensor:
+    def with_new_rows(old: Tensor, new: Tensor) -> Tensor:
         return old.index_put((kept,), new[accepted])
 
     return moments.derived(
-        translation=exchanged(moments.translation, edited.translation),
-        rotations=exchanged(moments.rotations, edited.rotations),
-        contacts=exchanged(moments.contacts, edited.contacts),
+        translation=with_new_rows(moments.translation, edited.translation),
+        rotations=with_new_rows(moments.rotations, edited.rotations),
+        contacts=with_new_rows(moments.contacts, edited.contacts),
     )
 
 
@@ -170,7 +170,7 @@ def _joints_at_frames(moments: Moments) -> Float[Tensor, "windows frames 22 3"]:
 
 
 @dataclass(frozen=True)
-class Chance:
+class RandomDraws:
     """Draws random numbers for each window of a batch, on the windows' device."""
 
     random: torch.Generator
@@ -192,7 +192,7 @@ class Chance:
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return torch.where(drawn < 0.5, -1.0, 1.0)
 
-    def wave(
+    def waves(
         self, seconds: Float[Tensor, "windows times"], shortest: float, longest: float
     ) -> Float[Tensor, "windows times"]:
         """Raised cosines between zero and one, of random period (seconds) and phase."""

@@ -17,8 +17,8 @@ from training.humor.legs import (
     with_step_added,
 )
 from training.humor.moments import (
-    Chance,
     Moments,
+    RandomDraws,
     above_ground,
     bone_directions,
     is_plausible,
@@ -94,16 +94,16 @@ def with_arms_moved(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Change the arms of windows at random; return them, and a mask of plausible results."""
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     rotations = moments.rotations.clone()
     for shoulder, elbow, side in ((16, 18, 1.0), (17, 19, -1.0)):
         axis = torch.randn(len(rotations), 3, generator=random).to(rotations)
         axis = axis / axis.norm(dim=-1, keepdim=True)
-        wave = 2 * chance.wave(moments.seconds, *_ARM_PERIODS) - chance.uniform(0.0, 1.0)[:, None]
+        wave = 2 * chance.waves(moments.seconds, *_ARM_PERIODS) - chance.uniform(0.0, 1.0)[:, None]
         angle = chance.uniform(0.0, 0.5 * _SHOULDER)[:, None] * wave
         turn = so3.exp(angle[..., None] * axis[:, None])
         bend = chance.uniform(-_ELBOW, _ELBOW)[:, None]
-        bend = bend * (0.5 + 0.5 * chance.wave(moments.seconds, *_ARM_PERIODS))
+        bend = bend * (0.5 + 0.5 * chance.waves(moments.seconds, *_ARM_PERIODS))
         flat = torch.zeros_like(bend)
         rotations[:, :, shoulder] = turn @ rotations[:, :, shoulder]
         hinge = so3.exp(torch.stack((flat, -side * bend, flat), -1))
@@ -198,7 +198,7 @@ def with_flight(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Turn windows into jumps without contacts; return them, and a mask of plausible results."""
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     seconds = moments.seconds
     last = seconds[:, -1].clamp(min=0.1)
     apex = (0.1 + 0.8 * chance.uniform(0.0, 1.0)) * last

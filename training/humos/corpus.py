@@ -146,7 +146,7 @@ class BodyCorpus(TensorStruct):
         row = torch.arange(windows) + windows * mirror
         return batch.replace(frames=both[row], shape=shape, other=other)
 
-    def every(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
+    def all_windows(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
         """Return up to `most` windows as recorded, with random other shapes to transfer to."""
         rows = [
             (clip, first)

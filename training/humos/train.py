@@ -102,7 +102,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
     def __init__(self, settings: HumosTraining, learned: BodyCorpus, checked: BodyCorpus) -> None:
         self.learned = learned
         random = torch.Generator().manual_seed(0)
-        self.checked = checked.every(settings.frames, _HELD_OUT, random)
+        self.checked = checked.all_windows(settings.frames, _HELD_OUT, random)
         super().__init__(settings)
 
     @property

@@ -68,7 +68,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         self.learned = learned
         random = torch.Generator().manual_seed(0)
         windows = torch.arange(0, len(checked), max(1, len(checked) // _HELD_OUT))[:_HELD_OUT]
-        whole = checked.take(windows, _POINTS, None)
+        whole = checked.windows(windows, _POINTS, None)
         self.checked = {
             "": whole,
             "half_": half_hidden(whole, random),
