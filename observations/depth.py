@@ -252,9 +252,9 @@ class PointCloud(Sensor):
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
-        return self._with_points(number)
+        return self._with_numbered_points(number)
 
-    def _with_points(self, number: Tensor) -> "PointCloud":
+    def _with_numbered_points(self, number: Tensor) -> "PointCloud":
         """Return the cloud with only the points of the given indices in every frame."""
         axis = self.present.ndim - 1
 
@@ -271,7 +271,7 @@ class PointCloud(Sensor):
         """
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        few = super().coarse(body, step)._with_points(number)
+        few = super().coarse(body, step)._with_numbered_points(number)
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:

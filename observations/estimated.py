@@ -41,7 +41,7 @@ class ErrorCovariance:
     seconds: float
     """Time after which its correlation has fallen to one half; it changes smoothly."""
 
-    def precision(
+    def precision_matrix(
         self,
         scale: Float[Tensor, "*batch moments"],
         segment: Float[Tensor, "*batch moments"],
@@ -122,8 +122,8 @@ class EstimatedPoints(Markers3D):
         each = torch.where(self.visible.mT, 1.0, unseen).to(seen)
         one = torch.zeros_like(anything)
         return (
-            self.path.precision(anything, one, self.fps),
-            self.own.precision(each, self.segment.mT, self.fps),
+            self.path.precision_matrix(anything, one, self.fps),
+            self.own.precision_matrix(each, self.segment.mT, self.fps),
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":

@@ -121,7 +121,7 @@ class Keypoints2D(PointsOfBody):
             lens=lens, fingers=None if fingers is None else checked_fingers(fingers, pixels, 3),
         )  # fmt: skip
 
-    def settled(self, scene: Scene) -> "Keypoints2D":
+    def with_constants_of(self, scene: Scene) -> "Keypoints2D":
         """Return the view with the scene's estimated focal length, then taken as known."""
         if self.focal_std == 0 or scene.lens is None:
             return self
@@ -148,7 +148,7 @@ class Keypoints2D(PointsOfBody):
         Twice of it is HuMoR's joints2d (section 6.5).
         """
         points, seen = super().expected(estimate)
-        part = self.settled(estimate.scene)
+        part = self.with_constants_of(estimate.scene)
         if points.shape[-3] < self.moments:
             part = part.derived(**part.fields_at(range(seen.start, seen.stop)))
         return part.energy(points)
@@ -174,7 +174,7 @@ class Keypoints2D(PointsOfBody):
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
         """Project the estimate's keypoints; also return the slice of frames that it covers."""
         points, seen = super().expected(estimate)
-        camera = self.settled(estimate.scene).camera
+        camera = self.with_constants_of(estimate.scene).camera
         return camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 2"], slice]:
@@ -231,7 +231,7 @@ class Keypoints2D(PointsOfBody):
         del body, step
         return self
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
         """Whether a visible keypoint locates each joint in the image, in every frame.
 
         Detectors place legs beyond the edge of an image, too, but do not believe in them: a
@@ -239,7 +239,9 @@ class Keypoints2D(PointsOfBody):
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
         sure = self.confidence > FAINT * greatest
-        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).locates(body)
+        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).joints_located(
+            body
+        )
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose placed by the keypoints of the torso; see `image_start`."""

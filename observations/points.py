@@ -100,7 +100,7 @@ class PointsOfBody(Sensor):
         own = self.offset_unit * offsets[slice(*self.offset_rows)]
         return found.displaced(self.bones(body), own)
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
         """Whether some visible point locates each joint, in every frame."""
         located_joints = torch.from_numpy(self.located_joints(body)).to(self.shown.device)
         tells = located_joints.to(torch.get_default_dtype())

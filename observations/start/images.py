@@ -101,12 +101,12 @@ def bone_distance(
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
     length, push the body away (section 6.2). Where no bone is seen, the median of the others.
     """
-    scale = bone_scale(points.names, rest, pixels, confidence)
+    scale = pixels_per_metre(points.names, rest, pixels, confidence)
     focal = camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
     return focal.expand(scale.shape) / scale
 
 
-def bone_scale(
+def pixels_per_metre(
     names: Sequence[str],
     rest: Float[Tensor, "points 3"],
     pixels: Float[Tensor, "batch time points 2"],

@@ -117,7 +117,8 @@ def labelled_start(
         with_one_batch_axis(points).cpu(), with_one_batch_axis(present).cpu(), eyes, strict=True
     )
     clips = [
-        tracker.tracked(cloud, here, known[k], at, fps) for k, (cloud, here, at) in enumerate(seen)
+        tracker.tracked_poses(cloud, here, known[k], at, fps)
+        for k, (cloud, here, at) in enumerate(seen)
     ]
 
     def joined(values: list[Tensor]) -> Tensor:
@@ -156,7 +157,7 @@ class _PoseTracker:
         solver = PoseSolver(body.joint_template, density)
         return cls(body, solver, cover, body.template[index], bone, region)
 
-    def tracked(
+    def tracked_poses(
         self,
         points: Float[Tensor, "moments points 3"],
         present: Bool[Tensor, "moments points"],

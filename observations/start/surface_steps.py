@@ -146,7 +146,7 @@ def _motion_of_poses(state: BonePoses, body: BodyModel) -> Motion:
 
 _HALF_COUNTED = 0.1
 """Scale in metres of the distance of a point from the surface: at this one, half counts."""
-_BESIDE = 0.08
+_SIGHT_RADIUS_M = 0.08
 """Metres at the body within which a point stands for a line of sight."""
 _BEFORE = 0.12
 """Metres that a surface may be nearer to the sensor than the points along its line of sight."""
@@ -196,6 +196,6 @@ def misfits_of_frames(
     best = cosine.max(-1)
     lateral = (2 - 2 * best.values.clamp(max=1)).sqrt() * depth
     before = far.gather(-1, best.indices) - depth > _BEFORE
-    against = shown & ((lateral > _BESIDE) | before)
+    against = shown & ((lateral > _SIGHT_RADIUS_M) | before)
     share = against.sum(-1) / shown.sum(-1).clamp(min=1)
     return misfit, share.to(misfit)

@@ -252,7 +252,7 @@ def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (located := term.energy.locates(body)) is not None
+        and (located := term.energy.joints_located(body)) is not None
         and bool((share_of_frames(located) >= _MIN_SEEN_SHARE).all())
         for term in data
     )

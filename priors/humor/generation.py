@@ -14,7 +14,7 @@ from priors.humor.state import (
     Frame,
     State,
     contact_probabilities,
-    distinct_features,
+    independent_features,
     posed_joints,
     state_after_step,
     states_of,
@@ -319,7 +319,7 @@ def first_states(
     Raises:
         ValueError: when the mixture is over other numbers than ours.
     """
-    if not torch.equal(initial.features.cpu(), distinct_features()):
+    if not torch.equal(initial.features.cpu(), independent_features()):
         raise ValueError(
             "first states can be drawn only from a mixture over the independent features of a "
             "state; that of HuMoR's released weights is over all features: take the weights open"

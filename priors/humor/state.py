@@ -253,7 +253,7 @@ def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
     return torch.cat(parts, -1)
 
 
-def distinct_features() -> Int[Tensor, " features"]:
+def independent_features() -> Int[Tensor, " features"]:
     """Indices of `initial_features` that cannot be computed from other features.
 
     The pelvis is where the rest pelvis is, horizontally, and moves as the translation does.

@@ -181,7 +181,7 @@ class Humos(Prior[HumosVariables]):
         """Frames decoded from the latent codes without details, relative to the first frame."""
         count = variables.valid.shape[-1]
         codes = self.weights.density.codes(variables.latent)
-        coarse = network_frames(count, variables.fps)
+        coarse = count_at_network_rate(count, variables.fps)
         exists = self.exists(variables.valid, variables.fps)
         rows = self.weights.networks.decode(codes, variables.shape, exists, coarse)
         return BodyFrames.unpack(spline_matrix(coarse, count, variables.fps).to(rows) @ rows)
@@ -235,7 +235,7 @@ class Humos(Prior[HumosVariables]):
     ) -> Bool[Tensor, "*batch windows"]:
         """Mask of windows with at least one valid frame."""
         count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil().long() + 1
-        return existing_windows(count, network_frames(valid.shape[-1], fps))
+        return existing_windows(count, count_at_network_rate(valid.shape[-1], fps))
 
 
 @lru_cache(maxsize=1)
@@ -244,14 +244,14 @@ def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
     return _BEND / lever_lengths()[:, None]
 
 
-def network_frames(frames: int, fps: float) -> int:
+def count_at_network_rate(frames: int, fps: float) -> int:
     """Number of frames at 20 Hz that cover a given number at another rate."""
     return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
 
 
 def at_network_rate(motion: Motion) -> Motion:
     """The motion resampled to 20 Hz; the last frame is repeated to fill the last interval."""
-    count = network_frames(motion.frames, motion.fps)
+    count = count_at_network_rate(motion.frames, motion.fps)
     times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
     return motion.at(times.clamp(max=float(motion.times[-1])), FPS)
 

@@ -77,13 +77,13 @@ class UnseenLimbs(TensorStruct):
         does. A sensor on another clock counts by its nearest moment.
         """
         sensors = [term.energy for term in data if isinstance(term.energy, Sensor)]
-        located = [one.locates(body) for one in sensors]
+        located = [one.joints_located(body) for one in sensors]
         if len(located) == 0 or len(located) < len(data) or any(one is None for one in located):
             return None
         first = sensors[0]
         times = first.start_time + torch.arange(first.moments, dtype=torch.float64) / first.fps
         seen = torch.stack([
-            _at_times(one, sensor.fps, sensor.start_time, times)
+            _mask_at_times(one, sensor.fps, sensor.start_time, times)
             for one, sensor in zip(located, sensors, strict=True) if one is not None
         ]).any(0)  # fmt: skip
         never = _rotations_below(share_of_frames(seen) < _SELDOM)
@@ -96,7 +96,7 @@ class UnseenLimbs(TensorStruct):
 
     def at_frames_of(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
         """Mask (frames, 22) of the unseen joint rotations of a clip, in the frames of a motion."""
-        found = _at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
+        found = _mask_at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
         return found & motion.valid[0][:, None]
 
 
@@ -117,7 +117,7 @@ def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor,
     return around.unfold(1, frames, 1).any(-1)
 
 
-def _at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Tensor:
+def _mask_at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Tensor:
     """Sample a mask (..., frames, 22) at given times (seconds) from its nearest frames."""
     frame = ((times - start_time) * fps).round().long().clamp(0, mask.shape[-2] - 1)
     return mask.index_select(-2, frame.to(mask.device))

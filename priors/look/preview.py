@@ -48,7 +48,7 @@ _USUAL_FRAMES = 60.0
 """Frames that every clip counts as when its shape is told."""
 _MOST_FRAMES = 300
 """Frames of a clip that tell its shape, at most."""
-_ASTRAY_M = 0.3
+_OUTLIER_M = 0.3
 """Metres from the proposed motion at which a point counts by a quarter."""
 _NEAR = 4.0
 """Frames within which points tell together where the body is."""
@@ -79,7 +79,7 @@ class LookAtPoints:
         rotations, pelvis, std = _interpolated_over_gaps(
             rotations, pelvis, std, seen.visible[0].any(-1)
         )
-        placement, first = _Placement(seen, body), int(log_weight.argmax())
+        placement, first = _PlacementFit(seen, body), int(log_weight.argmax())
         own = placement.points_on_bodies(
             rotations[first], pelvis[first], body.rest_joints(shape)[None]
         )[0]
@@ -158,7 +158,7 @@ def seen_points(
     fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS
     times = start + torch.arange(steps + 1, dtype=torch.float64) / fps
     places, shown = zip(
-        *(_at_times(paced(one, REFERENCE_FPS), times) for one in named), strict=True
+        *(_points_at_times(paced(one, REFERENCE_FPS), times) for one in named), strict=True
     )
     bone = torch.tensor([joint for one in named for joint in one.bones(body)])
     rest = torch.cat([one.at_rest(body) for one in named]).float()
@@ -174,7 +174,7 @@ def seen_points(
     return seen, start, fps
 
 
-def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
+def _points_at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
     """Interpolate a sensor's positions and visibility to given times (seconds)."""
     frame = (times - one.start_time) * one.fps
     last = one.moments - 1
@@ -222,7 +222,7 @@ def _interpolated_over_gaps(
 
 
 @dataclass(frozen=True, eq=False)
-class _Placement:
+class _PlacementFit:
     """Fits shape and pelvis path of a proposed motion to the seen points."""
 
     seen: SeenPoints
@@ -285,5 +285,5 @@ class _Placement:
 
 def _robust_weights(away: Tensor, visible: Tensor) -> Tensor:
     """Robust weights (frames, points, 1): less the farther a point is from its prediction."""
-    near = (1 + (away.norm(dim=-1, keepdim=True) / _ASTRAY_M).square()) ** -2
+    near = (1 + (away.norm(dim=-1, keepdim=True) / _OUTLIER_M).square()) ** -2
     return near * visible[..., None]

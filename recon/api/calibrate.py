@@ -24,7 +24,7 @@ from recon.formats.observations import KeypointsFile
 from recon.formats.producers import is_film
 from recon.formats.writing import writing_file
 from recon.method.sensor import Sensor
-from recon.reading.clip import format_errors
+from recon.reading.clip import as_format_errors
 from recon.reading.images import keypoints_of, undistorted
 from recon.reading.places import files_of_views
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
@@ -156,7 +156,7 @@ def calibrate(
             "image_size": image_size, "detector": detector, "detections": detections,
         }
     )  # fmt: skip
-    with format_errors():
+    with as_format_errors():
         views = [read_views([path], how).views_of_person(person) for path in paths]
     files = _padded_keypoints_by_camera(views)
     people = [_filmed_person(name, one) for name, one in files.items()]

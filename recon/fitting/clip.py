@@ -325,7 +325,7 @@ class ClipProblem:
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
         """Return the observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
-        return tuple(one.settled(scene) for one in self.observations)
+        return tuple(one.with_constants_of(scene) for one in self.observations)
 
     def first_seconds(self) -> "ClipProblem":
         """Cut out the first seconds of the clip, as long as a window of a long recording."""

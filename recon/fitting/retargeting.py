@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humos.prior import Humos, at_network_rate, network_frames, spline_matrix
+from priors.humos.prior import Humos, at_network_rate, count_at_network_rate, spline_matrix
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length, with_shape
@@ -193,7 +193,7 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
 
 def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     """Return the matrix that interpolates by splines from frames at 20 Hz to a motion's frames."""
-    coarse = network_frames(motion.frames, motion.fps)
+    coarse = count_at_network_rate(motion.frames, motion.fps)
     return spline_matrix(coarse, motion.frames, motion.fps).to(motion.translation)
 
 

@@ -80,7 +80,7 @@ def fit_skeletons(
         FittedSkeleton(
             motion=found[row].window(0, len(f.positions)),
             residuals=apart[row, : len(f.positions)].mean(0),
-            source_feet=f.positions[:, slice(*subject.skeleton.feet)],
+            source_feet=f.positions[:, slice(*subject.skeleton.feet_rows)],
         )
         for row, f in enumerate(frames)
     ]

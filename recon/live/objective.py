@@ -175,7 +175,7 @@ class Objective:
         orientations, joints = forward_kinematics(rotations, self.rest)
         return rotations, orientations, joints + window.translation[:, None]
 
-    def value(self, window: Window, seen: Sequence[Tracker]) -> float:
+    def energy(self, window: Window, seen: Sequence[Tracker]) -> float:
         """Return a window's energy; `seen` holds the data of its last frames."""
         rotations, orientations, joints = self.posed(window)
         held = window.frames - seen[0].moments

@@ -186,7 +186,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
 
     def value(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The energy."""
-        value = x.objective.value(x.window, x.seen) + x.value_of_shape()
+        value = x.objective.energy(x.window, x.seen) + x.value_of_shape()
         return torch.full((len(rows), 1), value, dtype=torch.float64)
 
 

@@ -63,7 +63,7 @@ BEGINNING = 15
 """Moments from which a first motion is fitted, at least: they tell noise and posture."""
 _BEYOND = 4
 """Frames older than the lag that are still moved: what is final later than a frame moves it."""
-_ASTRAY, _SPEED = 0.5, 10.0
+_MAX_DEVIATION_M, _MAX_SPEED_M_S = 0.5, 10.0
 """Metres, and metres per second since the last moment with points, that a point may lie from where
 it is expected. Nobody moves so fast."""
 _PERSISTS = 0.3
@@ -236,7 +236,7 @@ class Tracking(TrackedPerson):
         if moment.empty:
             return moment.seen, 0.0
         _, orientations, joints = predicted.objective.posed(predicted.window[-1:])
-        allowed = _ASTRAY + _SPEED * self.since_seen / self.sensors.fps
+        allowed = _MAX_DEVIATION_M + _MAX_SPEED_M_S * self.since_seen / self.sensors.fps
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):

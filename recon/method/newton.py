@@ -99,8 +99,8 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the Hessian of a sensor of points, whose times may lie between motion frames."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor[clip]
-    if hasattr(one, "settled"):
-        one = one.settled(scene[clip])
+    if hasattr(one, "with_constants_of"):
+        one = one.with_constants_of(scene[clip])
     carried = sensor.on_bones_with_offsets(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
     if scene.ground is not None:

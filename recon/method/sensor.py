@@ -238,7 +238,7 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
         """Return a mask of the joints that the data of each frame locate.
 
         The default, None, means unknown.
@@ -261,7 +261,7 @@ class Sensor(TensorStruct):
             body, self.clips, self.moments, fps=self.fps, start_time=self.start_time
         )
 
-    def settled(self: R, scene: Scene) -> R:
+    def with_constants_of(self: R, scene: Scene) -> R:
         """Return the sensor with the scene's offsets and lens inserted as known constants."""
         del scene
         return self

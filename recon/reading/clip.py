@@ -62,7 +62,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     """
     if len(paths) == 0:
         raise ObservationError("nothing to fit: expected at least one observation file, got none")
-    with format_errors():
+    with as_format_errors():
         own = readers(settings.reader)
         paths, settings, projects = files_of_projects(paths, settings)
         files: list[tuple[str, Content]] = []
@@ -176,7 +176,7 @@ def _sensor_of_points(
 
 
 @contextmanager
-def format_errors() -> Iterator[None]:
+def as_format_errors() -> Iterator[None]:
     """Within this context, raise any ValueError of a reader as a `FormatError`."""
     try:
         yield

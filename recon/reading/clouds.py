@@ -29,7 +29,7 @@ from recon.reading.moving_sensor import sensor_movement, sensor_position
 
 _LARGE = 0.4
 """Share of the largest thing's points that another one has which may be the person."""
-_BESIDE = 0.5
+_MIN_SEPARATION_M = 0.5
 """Metres, along the ground, between the middles of things that are no parts of one person. An
 occluder may divide a body in two, which stand above each other."""
 _TALL = 1.0
@@ -81,7 +81,7 @@ def clusters_of_one_person(clouds: list[np.ndarray], reach: float) -> tuple[list
             last = one.middles[chosen]
             kept[k] = clouds[k][one.label == chosen]
             away = np.linalg.norm((one.middles - last)[:, :2], axis=-1)
-            beside += bool(((away > _BESIDE) & (one.sizes > _TALL)).any())
+            beside += bool(((away > _MIN_SEPARATION_M) & (one.sizes > _TALL)).any())
     return kept, beside if beside > _OFTEN * len(frames) else 0
 
 

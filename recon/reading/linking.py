@@ -366,11 +366,11 @@ def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     )
     if not changed:
         return best
-    doubt = _first_difference(best.frames, other.frames), changed
+    doubt = _first_differing_frame(best.frames, other.frames), changed
     return replace(best, doubts=(*best.doubts, doubt))
 
 
-def _first_difference(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
+def _first_differing_frame(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
     """Return the first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:

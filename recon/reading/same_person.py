@@ -53,10 +53,12 @@ def across_views(
             f"{views[0].name}: there is no person {person}; there are {_listed_people(views[:1])}"
         )
     seeds = [(0, person)] if person is not None else _starting_tracks(views)
-    groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
+    groups = [
+        group for group in (pairs.consistent_group(*seed) for seed in seeds) if len(group) > 1
+    ]
     if len(groups) == 0:
         for turned, names in _with_flipped_y(views):
-            if any(len(_TriangulatedPairs(turned).group(*seed)) > 1 for seed in seeds):
+            if any(len(_TriangulatedPairs(turned).consistent_group(*seed)) > 1 for seed in seeds):
                 tracks, said = across_views(turned, person, up_given=up_given)
                 told = (
                     f"y of the keypoints of {names} points up, as rays meet only so: turned down"
@@ -124,7 +126,7 @@ def everybody_across_views(
     for v, a in _starting_tracks(views):
         if (v, a) in taken:
             continue
-        group = pairs.group(v, a)
+        group = pairs.consistent_group(v, a)
         members = {(w, b) for w, own in group.items() for b in own}
         if len(group) < 2 or members & taken:
             notes.append(
@@ -183,7 +185,7 @@ class _TriangulatedPairs:
         """The smallest triangulation error of any pair of tracks."""
         return min((pair.error for pair in self._made.values()), default=float("inf"))
 
-    def group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:
+    def consistent_group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:
         """Tracks of all views that agree with a track and with each other, by view."""
         group: dict[int, tuple[int, ...]] = {v: (a,)}
         for w, view in enumerate(self.views):

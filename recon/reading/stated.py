@@ -237,7 +237,7 @@ def _with_motion(
     return _with_focal(camera, moved.focal), moved, note
 
 
-_BESIDE = 0.3
+_MIN_COSINE_TO_AXIS = 0.3
 """Least cosine between what is seen and the axis of the camera in whose image it is drawn."""
 
 
@@ -253,7 +253,7 @@ def _turned_segments(
     """
     rays = np.concatenate((ends / focal, np.ones((*ends.shape[:2], 1))), -1) @ R.T
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    rays = rays[(rays[..., 2] > _BESIDE).all(1)]
+    rays = rays[(rays[..., 2] > _MIN_COSINE_TO_AXIS).all(1)]
     return focal * rays[..., :2] / rays[..., 2:]
 
 

@@ -88,7 +88,7 @@ def clip_region(show: Show, view: View) -> ImageRegion:
     return ImageRegion(float(left), float(top), *(share * size).tolist())
 
 
-def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
+def close_up_regions(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
     """Return a square around the people in each of some frames, all of one size."""
     low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)

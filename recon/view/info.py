@@ -33,7 +33,7 @@ from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import holds_points_3d, points_of_recording, read_points_3d
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
-from recon.mocap.recording import MarkerRecording, head_to_foot
+from recon.mocap.recording import MarkerRecording, head_to_foot_length
 from recon.reading.keypoints3d import points_in_metres
 from recon.reading.places import load_silhouettes
 from recon.reading.points import positions_in_metres
@@ -248,7 +248,7 @@ def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
         facts["decisions"] += said
         facts["missing"] = float(1 - np.mean(recording.visible))
     else:
-        facts["stature"] = head_to_foot(
+        facts["stature"] = head_to_foot_length(
             recording.joint_names, recording.parents, recording.rest_offsets
         )
     return facts

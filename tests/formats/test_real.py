@@ -12,7 +12,7 @@ from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
     drop_lead_in,
-    head_to_foot,
+    head_to_foot_length,
 )
 
 
@@ -36,7 +36,9 @@ def test_skeletons_have_the_size_of_people_and_lose_their_t_pose(
 ) -> None:
     recording = skeleton(data / "mocap/cmu" / f"{clip}.bvh.xz")
     assert (
-        1.4 < head_to_foot(recording.joint_names, recording.parents, recording.rest_offsets) < 2.1
+        1.4
+        < head_to_foot_length(recording.joint_names, recording.parents, recording.rest_offsets)
+        < 2.1
     )  # m
     cut = drop_lead_in(recording)
     assert cut.frames == recording.frames - lead_in
@@ -92,7 +94,9 @@ def test_packed_skeletons(data: Path) -> None:
     for name, text in iterate_texts(path):
         clip = parse_bvh(text, name)
         assert clip.joint_names[clip.body_root] == "Hips"
-        assert 1.4 < head_to_foot(clip.joint_names, clip.parents, clip.rest_offsets) < 2.1  # m
+        assert (
+            1.4 < head_to_foot_length(clip.joint_names, clip.parents, clip.rest_offsets) < 2.1
+        )  # m
         assert clip.fps == 30
         break
 

@@ -14,7 +14,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import (
     Frame,
     canonical_state,
-    distinct_features,
+    independent_features,
     initial_features,
     rest_pelvis,
     states_of,
@@ -35,7 +35,7 @@ def humor(body: BodyModel, still: bool = False, width: int = 64) -> Humor:
     networks = HumorNetworks(width).to(body.template.dtype).requires_grad_(False)
     for parameter in networks.decoder.net[9].parameters():
         parameter.mul_(0.0 if still else 0.02)
-    features = distinct_features()
+    features = independent_features()
     size = len(features)
     covariances = torch.eye(size, dtype=torch.float64).expand(2, size, size)
     means = torch.stack((torch.zeros(size), torch.ones(size))).double()

@@ -26,8 +26,8 @@ from training.labels.clouds import (
     LabelledClouds,
     at_most_points,
     augmented,
-    half_hidden,
     mirrored_where,
+    with_half_hidden,
 )
 from training.labels.train import LabelRun, LabelTraining, export_weights
 
@@ -172,7 +172,7 @@ def test_mirrored_clouds_have_the_labels_of_the_other_side():
 
 def test_half_hidden_clouds_have_half_of_the_points():
     clouds = a_corpus().windows(torch.arange(6), 400, None)
-    hidden = half_hidden(clouds, torch.Generator().manual_seed(0))
+    hidden = with_half_hidden(clouds, torch.Generator().manual_seed(0))
     share = (hidden.regions >= 0).flatten(1).sum(-1) / (clouds.regions >= 0).flatten(1).sum(-1)
     assert (share - 0.5).abs().max() < 0.01
     assert not (hidden.present & ~clouds.present).any()

@@ -18,7 +18,7 @@ from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR
 from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
-from training.humor.corpus import Corpus, StateWindows, Variation, kind_of
+from training.humor.corpus import Corpus, StateWindows, Variation, kind_of_motion
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.train import HumorRun, HumorTraining, export_weights, train
@@ -295,7 +295,7 @@ def test_every_setting_of_a_training_has_an_option_of_its_own() -> None:
 
 
 def test_kinds_of_motion_are_recognised_by_words() -> None:
-    assert kind_of("walk on uneven terrain") == "uneven ground"
-    assert kind_of("run/jog") == "run"
-    assert kind_of("salsa dance") == "dance"
-    assert kind_of("wash self") == "other"
+    assert kind_of_motion("walk on uneven terrain") == "uneven ground"
+    assert kind_of_motion("run/jog") == "run"
+    assert kind_of_motion("salsa dance") == "dance"
+    assert kind_of_motion("wash self") == "other"

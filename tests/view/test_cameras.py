@@ -19,7 +19,7 @@ from recon.view import Figure, Show, View
 from recon.view.files import view
 from recon.view.frames import write_mp4, write_png
 from recon.view.html import write_html
-from recon.view.images import clip_region, close_ups, paint_view, whole_image
+from recon.view.images import clip_region, close_up_regions, paint_view, whole_image
 from recon.view.observed import read_observed
 from recon.view.painter import frustum, paint
 from recon.view.scene import CAMERA, MISSING, REPROJECTED, VISIBLE
@@ -102,7 +102,7 @@ def test_regions_hold_the_people(body: BodyModel) -> None:
     inside = part.place(surface.reshape(-1, 2), 100)
     assert (inside >= 0).all()
     assert (inside <= part.size(100)).all()
-    squares = close_ups(show, view, [0, 15, 29])
+    squares = close_up_regions(show, view, [0, 15, 29])
     assert len({square.width for square in squares}) == 1
     for frame, square in zip([0, 15, 29], squares, strict=True):
         inside = square.place(surface[frame], 100)

@@ -44,7 +44,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 OTHER = "other"
 
 
-def kind_of(description: str) -> str:
+def kind_of_motion(description: str) -> str:
     """Classify a recording's kind of motion by words of its description."""
     text = description.lower()
     for kind, words in KINDS.items():
@@ -129,7 +129,7 @@ class Corpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found = [
-            (name, kind_of(described_action(path)), _at_corpus_rate(piece))
+            (name, kind_of_motion(described_action(path)), _at_corpus_rate(piece))
             for name, path, stretch in settings.stretches_that_teach(part, lesson)
             for piece in _split_at_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps

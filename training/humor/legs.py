@@ -15,7 +15,7 @@ from training.humor.moments import (
     Moments,
     RandomDraws,
     at_frames,
-    forward_of,
+    forward_directions,
     is_plausible,
     minimum_jerk,
     speeds,
@@ -145,7 +145,7 @@ def with_pelvis_moved(
     chance = RandomDraws(random, moments.translation)
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
-    ahead = forward_of(root)
+    ahead = forward_directions(root)
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     up = ahead.new_tensor([0.0, 0.0, 1.0])
 
@@ -197,7 +197,7 @@ _SIDES = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toes, left and right."""
 
 
-def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_raise_leg(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows in which one foot always stands and neither hands nor knees carry weight."""
     stands = _foot_stands(moments, 0) | _foot_stands(moments, 1)
     return stands & ~moments.ever_in_contact(0, *_HANDS, 4, 5)
@@ -215,7 +215,7 @@ def with_leg_raised(
     either = chance.uniform(0.0, 1.0) < 0.5
     right = torch.where(_foot_stands(moments, 0), either | ~_foot_stands(moments, 1), False)
     orientations, joints = posed = moments.posed()
-    ahead = forward_of(orientations[:, :, 0])
+    ahead = forward_directions(orientations[:, :, 0])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     side = torch.where(right, -1.0, 1.0)[:, None]
 
@@ -259,7 +259,7 @@ def with_leg_raised(
     own_feet = torch.where(right[:, None, None, None], lifted[1], lifted[0])
     above = (own_feet[..., 2] > -_TOUCH).flatten(1).all(1)
     reached = torch.where(right, reached[:, 0], reached[:, 1])
-    made = made.derived(contacts=moments.contacts & ~_labels_lost(moments, feet, right))
+    made = made.derived(contacts=moments.contacts & ~_contacts_lost(moments, feet, right))
     return made, reached & above & is_plausible(moments, made)
 
 
@@ -268,7 +268,7 @@ def _foot_stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
     return (ankle | toe).all(1)
 
 
-def _labels_lost(
+def _contacts_lost(
     moments: Moments, change: Tensor, right: Tensor
 ) -> Bool[Tensor, "windows frames 9"]:
     """Mask of contact labels that are removed because the leg is raised."""
@@ -295,7 +295,7 @@ _APART = 0.07
 """Metres sideways that feet keep from each other; they do not cross."""
 
 
-def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_step_aside(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows in which both feet always stand on the ground, and nothing else does."""
     return moments.always_in_contact(*FEET) & ~moments.ever_in_contact(0, 4, 5, *_HANDS)
 
@@ -312,7 +312,7 @@ def with_step_added(
     right = chance.uniform(0.0, 1.0) < 0.5
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
-    ahead = forward_of(root[:, :1])
+    ahead = forward_directions(root[:, :1])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
 
     lasts = chance.uniform(*_LASTS)

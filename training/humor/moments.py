@@ -83,7 +83,7 @@ def speeds(
     return ((places[:, 2::PER_FRAME] - places[:, ::PER_FRAME]) / span).norm(dim=-1)
 
 
-def forward_of(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
+def forward_directions(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
     """Horizontal unit vectors in which bodies face: from their left side, turned by 90 degrees."""
     left = roots[..., 0]
     ahead = torch.stack((left[..., 1], -left[..., 0], torch.zeros_like(left[..., 0])), -1)
@@ -153,10 +153,10 @@ def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     inside = (after > torch.minimum(low, before) - _SLACK) & (
         after < torch.maximum(high, before) + _SLACK
     )
-    return inside.flatten(1).all(1) & above_ground(old, new)
+    return inside.flatten(1).all(1) & stays_above_ground(old, new)
 
 
-def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
+def stays_above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows whose joints keep their least height above z = 0, or the recorded one."""
     before, after = (_joints_at_frames(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]

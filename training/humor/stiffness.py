@@ -96,7 +96,7 @@ def step_curvatures(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "nu
     error, latents = (torch.stack(part, 1) for part in zip(*columns, strict=True))
     turn = so3.heading(motion.rotations[:, 1, 0])
     return {
-        name: _mean_product(_jacobian_in_heading(jacobian, turn))
+        name: _mean_jtj(_jacobian_in_heading(jacobian, turn))
         for name, jacobian in (("error", error), ("latents", latents))
     }
 
@@ -149,7 +149,7 @@ def _jacobian_in_heading(
     return turned
 
 
-def _mean_product(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
+def _mean_jtj(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
     flat = jacobian.transpose(0, 1).flatten(1)
     return flat @ flat.mT / len(jacobian)
 

@@ -23,7 +23,7 @@ from priors.humor.prior import networks_from, read_weights
 from priors.humor.state import (
     State,
     canonical_state,
-    distinct_features,
+    independent_features,
     initial_features,
     rest_pelvis,
 )
@@ -190,7 +190,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     # initial states come from unedited windows only: edited ones float or stand on one leg
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical_state(states, rest_pelvis(states)))
-    initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
+    initial = fitted_mixture(features, independent_features(), seed=settings.seed)
 
     about = settings_to_store(settings) | {"step": found["step"]}
     save_humor(path, networks, initial, whitening, about)

@@ -100,7 +100,7 @@ class BodyCorpus(TensorStruct):
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
                 if clip.frames < _SHORTEST_S * FPS:
                     continue
-                frames, height = _frames_of(clip, body)
+                frames, height = _body_frames_of(clip, body)
                 legs = leg_length(body, clip.shape)
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
@@ -189,7 +189,7 @@ def mirrored(frames: BodyFrames) -> BodyFrames:
     )
 
 
-def _frames_of(clip: Motion, body: BodyModel) -> tuple[BodyFrames, Float[Tensor, " time"]]:
+def _body_frames_of(clip: Motion, body: BodyModel) -> tuple[BodyFrames, Float[Tensor, " time"]]:
     """Put a clip on the ground; return its frames and the height of its pelvis.
 
     It is lowered or lifted until its lowest point is under the ground in 5 % of its frames.

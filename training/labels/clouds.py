@@ -192,7 +192,7 @@ def mirrored_where(which: Bool[Tensor, " windows"], clouds: LabelledClouds) -> L
     )
 
 
-def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
+def with_half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
     """Hide the points on one side of a random plane through the body's middle.
 
     The plane halves the points on the body of all moments of a window together.

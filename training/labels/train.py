@@ -24,7 +24,7 @@ from training.labels.clouds import (
     CloudVariation,
     LabelledClouds,
     augmented,
-    half_hidden,
+    with_half_hidden,
 )
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, logged_in_folder, trained_state
@@ -71,7 +71,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         whole = checked.windows(windows, _POINTS, None)
         self.checked = {
             "": whole,
-            "half_": half_hidden(whole, random),
+            "half_": with_half_hidden(whole, random),
             "tilted_": augmented(whole, _TURNED_OVER, random),
         }
         super().__init__(settings)
