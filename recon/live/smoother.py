@@ -88,7 +88,7 @@ class SmoothedWindow:
     """Mean energy of an active frame before the last step."""
 
     @property
-    def active(self) -> int:
+    def active_frames(self) -> int:
         """Number of frames that are still optimised."""
         return self.seen[0].moments
 
@@ -131,7 +131,7 @@ class SmoothedWindow:
         """
         refinement, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
         model = refinement.model(self, row)
-        energy = float(model.value.sum()) / self.active
+        energy = float(model.value.sum()) / self.active_frames
         factor = Factor(model.hessian[0], _DAMPING if energy > _RISE * self.energy else 0.0)
         step = -factor.solve(model.gradient[0])
         if not factor.definite or not bool(step.isfinite().all()):
@@ -149,7 +149,7 @@ class SmoothedWindow:
     @property
     def shape_weight(self) -> float:
         """Weight of |b|², the density of shapes, for all active frames."""
-        return self.objective.weights.shape * self.objective.scale_to_30_hz * self.active
+        return self.objective.weights.shape * self.objective.scale_to_30_hz * self.active_frames
 
 
 class _WindowProblem(Problem[SmoothedWindow]):
@@ -177,8 +177,8 @@ class _WindowProblem(Problem[SmoothedWindow]):
     ) -> SmoothedWindow:
         """Return the window, with its objective's shape, after a step of the unknowns."""
         del rows
-        frames, shape = steps[0].tensor_split([x.active * VARIABLES])
-        window = x.window.moved(frames.view(x.active, VARIABLES))
+        frames, shape = steps[0].tensor_split([x.active_frames * VARIABLES])
+        window = x.window.moved(frames.view(x.active_frames, VARIABLES))
         objective = x.objective
         if x.learning:
             objective = objective_of_shape(objective, objective.shape + shape, x.seen)

@@ -148,7 +148,7 @@ class Tracking(TrackedPerson):
                 return False
             self.gathered[row] = moment
             return True
-        row = self.smoothed.active - 1 - back
+        row = self.smoothed.active_frames - 1 - back
         if row < 0 or self.joints_seen(self.smoothed.seen, row).any():
             return False
         seen = tuple(
@@ -225,7 +225,8 @@ class Tracking(TrackedPerson):
             )
         self.since_seen = 0 if any(bool(s.shown.any()) for s in seen) else self.since_seen + 1
         rows = tuple(
-            replace_frame(a, after.active - 1, b) for a, b in zip(after.seen, seen, strict=True)
+            replace_frame(a, after.active_frames - 1, b)
+            for a, b in zip(after.seen, seen, strict=True)
         )
         self.smoothed = replace(after, seen=rows)
 
@@ -272,7 +273,7 @@ class Tracking(TrackedPerson):
         first = max(self.final - 1, 0)
         objective, own = now.objective, slice(self.final - first, stop - first)
         rotations, _, places = objective.posed(now.window[first : stop + 1])
-        held, contacts = now.window.frames - now.active, None
+        held, contacts = now.window.frames - now.active_frames, None
         if objective.steps is not None:
             heights = rest_heights(self.body, objective.shape)
             contacts = contact_probabilities(places, heights, objective.fps)[own]

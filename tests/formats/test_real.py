@@ -7,7 +7,7 @@ import pytest
 
 from recon.export.bvh import write_bvh
 from recon.mocap.bvh import parse_bvh, read_bvh
-from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.reader import bvh_texts_in_archive, read_recording
 from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
@@ -91,7 +91,7 @@ def test_bvh_is_written_and_read_back(data: Path, tmp_path: Path) -> None:
 
 def test_packed_skeletons(data: Path) -> None:
     path = data / "mocap/bandai-namco/dataset-1.tar.xz"
-    for name, text in iterate_texts(path):
+    for name, text in bvh_texts_in_archive(path):
         clip = parse_bvh(text, name)
         assert clip.joint_names[clip.body_root] == "Hips"
         assert (

@@ -252,7 +252,7 @@ def test_scales_change_nothing_but_the_numbers_that_are_learned(folder: Path) ->
     assert not torch.equal(scaled.core.prior_net.net[0].weight, plain.prior_net.net[0].weight)
     x = windows.states.pack()[:, 0]
     after, latent = x + 0.01 * torch.randn_like(x), torch.randn(len(x), 48)
-    for other in (scaled, scaled.plain()):
+    for other in (scaled, scaled.unscaled_networks()):
         pairs = (
             (plain.prior(x)[0], other.prior(x)[0]),
             (plain.posterior(x, after)[1], other.posterior(x, after)[1]),

@@ -106,7 +106,7 @@ class ScaledNetworks(nn.Module):
             self.state_mean, self.state, self.change_mean, self.change, self.raw_mean, self.raw
         )
 
-    def plain(self) -> HumorNetworks:
+    def unscaled_networks(self) -> HumorNetworks:
         """Plain `HumorNetworks` of the same functions, with the scales folded into layers."""
         made = ScaledNetworks(HumorNetworks(self.core.width), self.scaling.to(device="cpu"))
         made.load_state_dict(self.state_dict())

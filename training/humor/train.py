@@ -181,7 +181,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     found = trained_state(settings.out / BEST)
     scaled = ScaledNetworks(HumorNetworks(settings.width), Scaling.identity())
     scaled.load_state_dict(found["averaged"])
-    networks = scaled.plain()
+    networks = scaled.unscaled_networks()
 
     learned = Corpus.load(settings, "train", BodyModel.load())
     random = torch.Generator().manual_seed(settings.seed)

@@ -106,7 +106,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         super().__init__(settings)
 
     @property
-    def parts(self) -> tuple[tuple[int, float], ...]:
+    def steps_and_rates(self) -> tuple[tuple[int, float], ...]:
         """Steps and learning rate of the run's two parts: auto-encoder, then transfer and back."""
         settings = self.settings
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
