@@ -111,7 +111,7 @@ def compared(found: Mapping[str, BenchTable]) -> Table:
         for metric, words in COMPARED[name].items():
             ours, theirs = ([own.values[m][metric][i] for i in kept] for m in (HUMOR, POSE))
             less = paired_difference(ours, theirs, clips, people)
-            verdict = "sure" if less.sure else "inside noise"
+            verdict = "sure" if less.excludes_zero else "inside noise"
             rows.append([f"{name}: {words}, cm", spread(less, 100), verdict])
     return Table([("collocation less stages 1-2", None), ("difference", 2), ("95 %", None)], rows)
 

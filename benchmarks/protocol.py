@@ -86,7 +86,9 @@ class Table:
         lines += [[shown(c, d) for c, d in zip(row, digits, strict=True)] for row in self.rows]
         parts = ["\n".join(f"| {' | '.join(line)} |" for line in lines), self.note]
         if self.about:
-            parts.append(f"*Measured by {'; '.join(dict.fromkeys(map(_source, self.about)))}.*")
+            parts.append(
+                f"*Measured by {' and by '.join(dict.fromkeys(map(_source, self.about)))}.*"
+            )
         return "\n\n".join(part for part in parts if part)
 
 
@@ -112,8 +114,8 @@ def _source(about: Mapping[str, Any]) -> str:
     """Return benchmark, commit and date of a run; the result file has the whole command."""
     module = about["command"].split()[2].removeprefix("benchmarks.")
     if about.get("commit") is None:
-        return f"`{module}`, version {about['recon']}"
-    return f"`{module}`, commit {about['commit'][:9]}, {about['date']}"
+        return f"`benchmarks.{module}` (version {about['recon']})"
+    return f"`benchmarks.{module}` (commit {about['commit'][:9]}, {about['date']})"
 
 
 def number(value: float | None, factor: float = 1.0) -> float | None:
@@ -147,7 +149,7 @@ def cells(
 
 def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInterval | None:
     """Return the mean over subjects; None where no window has a value."""
-    kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
+    kept = [k for k, own in enumerate(windows.subjects) if own in windows.averaged_subjects]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
     if all(value is None for value in own):

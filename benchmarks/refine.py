@@ -255,7 +255,7 @@ def of_sam3d_body(
 
     def row(own: Tensor) -> Row:
         own, goal = own.double() - own.double().mean((0, 1)), (true - true.mean((0, 1))).double()
-        turn = so3.nearest(goal.flatten(0, 1).mT @ own.flatten(0, 1))
+        turn = so3.nearest_rotation(goal.flatten(0, 1).mT @ own.flatten(0, 1))
         return judged(own @ turn.mT, goal, touching, _POINT_ROWS)
 
     yield "a file of SAM 3D Body", row(torch.from_numpy(there[:, shown]))

@@ -20,7 +20,7 @@ from benchmarks.protocol import Cell, Table, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import load_windows
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera
 from recon.metrics.evaluation import evaluate
@@ -90,7 +90,7 @@ def measured(truths: list[Motion], seed: int, prior: str, body: BodyModel) -> li
             alone = recon.fit(file, prior, **how)
             own = min(people, key=lambda person: error(person, truth))
             tall, single, true = (body.height(m.shape) for m in (own.motion, alone.motion, truth))
-            values = (tall / single, tall / true, sole_heights(own.motion[None], body).abs())
+            values = (tall / single, tall / true, ground_heights(own.motion[None], body).abs())
             out.append([error(alone, truth), error(own, truth), *map(float, values)])
     return out
 

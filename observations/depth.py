@@ -27,7 +27,7 @@ from recon.core.clouds import cloud_points
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.nearest import nearest, nearest_alike
-from recon.core.raster import faces_eye
+from recon.core.raster import are_facing_eye
 from recon.core.residuals import Noise, Residuals
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
@@ -120,7 +120,7 @@ class PointCloud(Sensor):
                 "PointCloud: expected one std in metres per moment, of the shape "
                 f"{tuple(present.shape[:-1])}, got {tuple(deviation.shape)}"
             )
-        self._settle(
+        self._set_fields(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
             camera=view, kernel=kernel, ground_known=ground_known,
             ground_seen=ground_seen, labels=labels, std=deviation,
@@ -220,7 +220,7 @@ class PointCloud(Sensor):
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if (eye := self.eye(range(seen.start, seen.stop))) is not None:
-            allowed = faces_eye(middles.detach(), normals.detach(), eye)
+            allowed = are_facing_eye(middles.detach(), normals.detach(), eye)
         if self.labels is None:
             return nearest(points, present, middles, allowed)
         costs = label_features(self.labels)[..., seen, :, :]

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.points import TrackedPoints
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, cached_constant
 from recon.core.errors import ObservationError
@@ -53,7 +53,7 @@ class Joints3D(TrackedPoints):
             raise ObservationError(
                 f"Joints3D.joints: expected numbers from 0 to 21, each once, got {places}"
             )
-        self._settle(joints=places)
+        self._set_fields(joints=places)
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """Positions of the measured joints on a posed body, world, metres."""
@@ -64,9 +64,9 @@ class Joints3D(TrackedPoints):
         """SMPL joint indices of the measured points."""
         return self.joints
 
-    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> BonePoints:
         """Return the measured joints as points that the bones of a body of given shape move."""
-        return CarriedPoints.joints(body, shape).some(self.joints)
+        return BonePoints.of_joints(body, shape).selected(self.joints)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """Positions of the measured joints on the average body in its rest pose, metres."""

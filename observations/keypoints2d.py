@@ -113,7 +113,7 @@ class Keypoints2D(PointsOfBody):
         pixels, confidence = _checked_pixels(pixels, confidence)
         checked_indices("Keypoints2D", "points", points.bones, pixels.shape[-2])
         fps, start_time = checked_clock("Keypoints2D", fps, start_time)
-        self._settle(
+        self._set_fields(
             pixels=pixels, confidence=confidence, points=points,
             camera=camera_of_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
@@ -125,7 +125,7 @@ class Keypoints2D(PointsOfBody):
         """Return the view with the scene's estimated focal length, then taken as known."""
         if self.focal_std == 0 or scene.lens is None:
             return self
-        return self.derived(camera=scene.lens.of(self.camera), focal_std=0.0)
+        return self.derived(camera=scene.lens.applied_to(self.camera), focal_std=0.0)
 
     @property
     def values(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]

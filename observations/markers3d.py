@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.points import TrackedPoints
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, cached_constant, float_tensor
@@ -67,7 +67,7 @@ class Markers3D(TrackedPoints):
             positions, visible, (fps, start_time), std, ("vertices", vertices),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
-        self._settle(
+        self._set_fields(
             vertices=places, offsets=_checked_offsets(offsets, len(places)),
             labels=None if labels is None else tuple(labels),
         )  # fmt: skip
@@ -88,12 +88,12 @@ class Markers3D(TrackedPoints):
         """Indices of the vertices that the markers sit on."""
         return self.vertices
 
-    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> BonePoints:
         """Return the markers as points that the bones of a body of given shape move."""
         vertices = cached_constant(self.vertices, shape.device)
         identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(vertices), len(JOINTS))
-        found = CarriedPoints.create(body, shape, none, identity, vertices)
+        found = BonePoints.create(body, shape, none, identity, vertices)
         if self.offsets is None:
             return found
         offsets = cached_constant(self.offsets, shape.device, shape.dtype)

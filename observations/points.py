@@ -13,7 +13,7 @@ from torch import Tensor
 from observations.checks import checked_clock, checked_indices, checked_positions, checked_std
 from observations.noise import estimate_noise
 from observations.start.rigid import rigid_start, with_limbs_towards_points
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, cached_constant
 from recon.core.motion import Motion
@@ -59,10 +59,10 @@ class PointsOfBody(Sensor):
         """Energy of predicted points (recording's frame, metres) in all frames of the data."""
         raise NotImplementedError
 
-    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> BonePoints:
         """Return the points as moved by the bones of a body of given shape, without offsets."""
         points = self.points.on(shape.device, shape.dtype)
-        return CarriedPoints.create(
+        return BonePoints.create(
             body, shape, points.of_joints, points.of_vertices, points.vertices
         )
 
@@ -90,9 +90,9 @@ class PointsOfBody(Sensor):
         offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
         return points + self.offset_unit * (turns @ offsets)[..., 0]
 
-    def on_bones_with_offsets(
+    def points_on_bones(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
-    ) -> CarriedPoints:
+    ) -> BonePoints:
         """Return the points as moved by a body's bones, shifted by `offsets` (`Scene.offsets`)."""
         found = self.on_bones(body, shape)
         if self.offset_rows is None:
@@ -192,7 +192,7 @@ class TrackedPoints(PointsOfBody):
             visible = visible & exist.to(visible.device)
             positions = positions.where(visible[..., None], 0.0)
         std, rms_std = checked_std(kind, std, visible, positions)
-        self._settle(
+        self._set_fields(
             positions=positions, visible=visible, fps=fps, start_time=start_time, std=std,
             rms_std=rms_std, **rest,
         )  # fmt: skip

@@ -4,9 +4,10 @@ import os
 from pathlib import Path
 
 import pytest
-from jaxtyping import install_import_hook
 
-install_import_hook(["recon", "priors", "observations", "training"], "beartype.beartype")
+from tests import shapes
+
+shapes.install("recon", "priors", "observations", "training")
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
@@ -32,6 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def _reproducible() -> None:  # pyright: ignore[reportUnusedFunction]
     torch.manual_seed(0)
     torch.set_num_threads(1)
+    shapes.counts.clear()
 
 
 @pytest.fixture(scope="session")

@@ -81,7 +81,7 @@ def check_prior(prior: Prior, motion: Motion, tolerance: float) -> None:
     """Round trip within a tolerance (radians, metres); finite energies; a batch is its clips."""
     variables = prior.encode(motion)
     decoded = prior.decode(variables)
-    angle = so3.geodesic(decoded.motion.rotations, motion.rotations)
+    angle = so3.geodesic_angle(decoded.motion.rotations, motion.rotations)
     assert float(angle.mean()) < tolerance
     assert float((decoded.motion.translation - motion.translation).abs().max()) < 1e-6 + tolerance
     assert all(energy.isfinite().all() for energy in decoded.energies.values())

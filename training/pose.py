@@ -68,7 +68,7 @@ def frechet_mean(
     rotations: Float[Tensor, "poses 21 3 3"], rounds: int = 10
 ) -> Float[Tensor, "21 3 3"]:
     """The rotation of each joint about which the tangent vectors of all poses average to zero."""
-    mean = so3.nearest(rotations.mean(0))
+    mean = so3.nearest_rotation(rotations.mean(0))
     for _ in range(rounds):
         mean = mean @ so3.exp(so3.log(mean.mT @ rotations).mean(0))
     return mean

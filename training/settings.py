@@ -40,7 +40,7 @@ class CorpusSettings:
         return {
             name: files[name]
             for name, own in splits.parts(list(files)).items()
-            if own == part and splits.is_open(name)
+            if own == part and splits.has_open_licence(name)
         }
 
     def stretches_that_teach(

@@ -143,7 +143,7 @@ def mirror_image(joints: Joints) -> Joints:
 def rigidly_aligned(points: Joints, target: Joints) -> Joints:
     """Align every frame's points rigidly with the target."""
     middle, goal = points.mean(-2, keepdim=True), target.mean(-2, keepdim=True)
-    turn = so3.nearest((target - goal).mT @ (points - middle))
+    turn = so3.nearest_rotation((target - goal).mT @ (points - middle))
     return (points - middle) @ turn.mT + goal
 
 

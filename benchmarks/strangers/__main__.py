@@ -49,7 +49,7 @@ def main() -> None:
     splits = Splits.load(given.splits)
     files = clip_files(corpus)
     read = [files[c] for c, part in splits.parts(list(files)).items()
-            if part in ("train", "validation") and splits.is_open(c)]  # fmt: skip
+            if part in ("train", "validation") and splits.has_open_licence(c)]  # fmt: skip
     note = (f"HuMoR of width {schedule.width}, {schedule.steps} steps of {schedule.windows} "
             "windows from scratch.")  # fmt: skip
     for fold in corpus_folds(corpus, splits, body, given.only):

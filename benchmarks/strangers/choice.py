@@ -47,7 +47,7 @@ def chosen(
     own = {
         clip: kind_of_motion(described_action(files[clip]))
         for clip, part in fold.splits.parts(list(files)).items()
-        if part == "validation" and fold.splits.is_open(clip)
+        if part == "validation" and fold.splits.has_open_licence(clip)
     }
     slots: dict[str, list[list[tuple[str, int]]]] = {}
     for clip, its in own.items():

@@ -55,7 +55,7 @@ def folds(seconds: Mapping[str, float], splits: Splits) -> tuple[Fold, ...]:
     recorded: dict[str, float] = {}
     for clip, part in splits.parts(list(seconds)).items():
         person = splits.subject(clip)
-        if part in ("train", "validation") and person != UNKNOWN and splits.is_open(clip):
+        if part in ("train", "validation") and person != UNKNOWN and splits.has_open_licence(clip):
             recorded[person] = recorded.get(person, 0.0) + seconds[clip]
     alone = sorted(person for person, total in recorded.items() if total >= SHORT)
     together = tuple(sorted(set(recorded) - set(alone)))
@@ -117,7 +117,7 @@ def corpus_folds(
     motions = {
         clip: load_motion(files[clip]).motion
         for clip, part in splits.parts(list(files)).items()
-        if part in ("train", "validation") and splits.is_open(clip)
+        if part in ("train", "validation") and splits.has_open_licence(clip)
     }
     found = {fold.name: fold for fold in folds(_seconds(motions), splits)}
     chosen = list(found) if names is None else list(names)

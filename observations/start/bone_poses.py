@@ -299,7 +299,7 @@ def _aligned_rigidly(
     here = (weight[..., None] * model).sum(1) / total
     away = points - there[:, None], model - here[:, None]
     spread = torch.einsum("rn,rni,rnj->rij", weight, *away)
-    turn = so3.nearest(spread.double()).to(model)
+    turn = so3.nearest_rotation(spread.double()).to(model)
     return there - (turn @ here[..., None])[..., 0], turn
 
 

@@ -301,7 +301,7 @@ def _costs_of_changing_hypothesis(
     joints = posed.joints.unflatten(0, (hypotheses, -1)).transpose(0, 1)
     joints = joints - joints[..., :1, :]
     before, after = root[:-1, :, None], root[1:, None]
-    spin = so3.geodesic(*torch.broadcast_tensors(before, after)) / seconds[:, None, None]
+    spin = so3.geodesic_angle(*torch.broadcast_tensors(before, after)) / seconds[:, None, None]
     moved = (joints[:-1, :, None] - joints[1:, None]).norm(dim=-1).mean(-1)
     speed = moved / seconds[:, None, None]
     cost = _CHANGE_COST * ((spin / _SPIN).square() + (speed / _SPREAD).square())

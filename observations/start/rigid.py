@@ -45,7 +45,7 @@ def rigid_start(
         positions - centre[..., None, :],
         rest - rest_centre[..., None, :],
     )
-    turn = so3.nearest(spread.double()).to(positions)
+    turn = so3.nearest_rotation(spread.double()).to(positions)
     placed = used.sum(-1) >= 3
     pelvis = body.joint_template[0].to(positions)
     # a point p of the body at rest moves to R (p - pelvis) + pelvis + translation
@@ -148,7 +148,7 @@ def with_limbs_towards_points(
         weight = used.to(positions)
         spread = torch.einsum("...k,...ki,kj->...ij", weight, away, lever)
         identity = torch.eye(3).to(spread)
-        turn = so3.nearest(spread.double() + _REST_STIFFNESS_M2 * identity).to(positions)
+        turn = so3.nearest_rotation(spread.double() + _REST_STIFFNESS_M2 * identity).to(positions)
         seen = used.any(-1)
         turn = turn.take_along_dim(nearest_placed_frames(seen)[..., None, None], -3)
         turn = torch.where(seen.any(-1)[..., None, None, None], turn, identity)

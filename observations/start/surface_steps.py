@@ -19,7 +19,7 @@ from priors.labels.regions import REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.nearest import nearest_alike
-from recon.core.raster import faces_eye
+from recon.core.raster import are_facing_eye
 from recon.core.struct import concatenate
 
 _PLACE_WEIGHT = 0.005
@@ -123,7 +123,7 @@ class SeenSurface:
         middles, normals = self.cover.posed(self.body.pose(_motion_of_poses(state, self.body)))
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if self.eye is not None:
-            allowed = faces_eye(middles, normals, self.eye)
+            allowed = are_facing_eye(middles, normals, self.eye)
         found = nearest_alike(self.points, self.present, self.costs, middles, allowed, self.kinds)
         pick = found[..., None].expand(*found.shape, 3)
         middle, normal = middles.gather(1, pick), normals.gather(1, pick)
@@ -178,7 +178,7 @@ def misfits_of_frames(
     middles, normals = surfels.posed(body.pose(motion))
     shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
     if eye is not None:
-        shown = faces_eye(middles, normals, eye)
+        shown = are_facing_eye(middles, normals, eye)
     centre = points.mean(1, keepdim=True)  # small coordinates lose fewer digits in products
     squared = squared_distances(points - centre, middles - centre)
     nearest = squared.masked_fill(~shown[:, None], torch.inf).amin(-1)

@@ -99,7 +99,7 @@ class Anchors(TensorStruct):
         alignment takes away all rotation and translation, so that which way is up is lost.
         """
         start = self.translation[..., 0, :]
-        turn = so3.heading(self.rotations[..., 0, 0, :, :])
+        turn = so3.undo_heading(self.rotations[..., 0, 0, :, :])
         kept = start * start.new_tensor([0.0, 0.0, 1.0])
         shift = kept + pelvis - (turn @ (start + pelvis)[..., None])[..., 0]
         return self.carried(so3.rigid(turn, shift), pelvis), so3.rigid(

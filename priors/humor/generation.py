@@ -20,7 +20,7 @@ from priors.humor.state import (
     states_of,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.body.contacts import rest_heights, touching_heights
+from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
@@ -176,7 +176,7 @@ def roll_from(
     """
     if frames < 2:
         raise ReconError(f"a motion from HuMoR has two frames at least, asked for {frames}")
-    touching = touching_heights(rest_heights(humor.body, shape))[:, FEET]
+    touching = heights_in_contact(rest_heights(humor.body, shape))[:, FEET]
     draws = 1 if footing is None or random is None else footing.draws
     bodies = humor.pelvis(shape), humor.body.rest_joints(shape), touching
     pelvis, rest, low = (_repeated_rows(tensor, draws) for tensor in bodies)

@@ -80,7 +80,7 @@ class Frame(TensorStruct):
         """Compute a state's canonical frame from its heading and horizontal translation."""
         place = state.translation
         return cls(
-            so3.heading(state.root),
+            so3.undo_heading(state.root),
             place * cached_constant((1.0, 1.0, 0.0), place.device, place.dtype),
         )
 

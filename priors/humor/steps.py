@@ -189,7 +189,7 @@ class StepCurvature(TensorStruct):
         whole = (error * self.error + latents * self.latents).to(like)
         size = hessian.corner.shape[-1]
         exists = (motion.valid[1:] & motion.valid[:-1]).to(like)
-        turn = so3.heading(motion.rotations[:-1, 0]).mT
+        turn = so3.undo_heading(motion.rotations[:-1, 0]).mT
         mean = whole[:moved, :moved].unflatten(0, (SPAN, FRAME)).unflatten(2, (SPAN, FRAME))
         edge = whole[:moved, moved : moved + size].unflatten(0, (SPAN, FRAME))
         hessian.corner.add_(exists.sum() * whole[moved : moved + size, moved : moved + size])

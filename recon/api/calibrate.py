@@ -161,7 +161,7 @@ def calibrate(
     files = _padded_keypoints_by_camera(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
-    poses, tall = _poses_above_ground(rig, files, people, BodyModel.load())
+    poses, tall = _camera_poses_and_body_height(rig, files, people, BodyModel.load())
     scale = 1.0 if height is None else height / tall
     cameras: dict[str, CameraArrays] = {}
     for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
@@ -199,11 +199,11 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     Raises:
         ObservationError: when names, layouts or frame rates are not what they should be.
     """
-    names = [name for view in views for name in view.names]
+    camera_names = [name for view in views for name in view.names]
     files = [file for view in views for file in view.files]
-    if len(set(names)) < len(names):
+    if len(set(camera_names)) < len(camera_names):
         raise ObservationError(
-            f"expected one name for each camera, got {', '.join(names)}; rename the files"
+            f"expected one name for each camera, got {', '.join(camera_names)}; rename the files"
         )
     for what in ("layout", "fps"):
         told = {getattr(file, what) for file in files}
@@ -215,7 +215,7 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     first = min(view.first_frame for view in views)
     stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
     found = {}
-    for name, view, file in zip(names, views, files, strict=True):
+    for name, view, file in zip(camera_names, views, files, strict=True):
         before = view.first_frame - first
         after = stop - view.first_frame - len(file.pixels)
         pixels = np.pad(undistorted(file), ((before, after), (0, 0), (0, 0)))
@@ -225,16 +225,16 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     return found
 
 
-def _filmed_person(name: str, file: KeypointsFile) -> FilmedPerson:
+def _filmed_person(camera_name: str, file: KeypointsFile) -> FilmedPerson:
     matrix, path = file.camera.camera_matrix, file.camera.path
     up = None if path is None or not path.level else path.T_world_camera[0, 2, :3]
     return FilmedPerson(
-        name, file.pixels, file.confidence, float(matrix[[0, 1], [0, 1]].mean()),
+        camera_name, file.pixels, file.confidence, float(matrix[[0, 1], [0, 1]].mean()),
         file.camera.focal_std, matrix[:2, 2], up,
     )  # fmt: skip
 
 
-def _level_frame(
+def _rotation_to_z_up_and_scale(
     rig: Rig, people: Sequence[FilmedPerson], layout: str, body: BodyModel
 ) -> tuple[Float[np.ndarray, "3 3"], float]:
     """Return the rotation from the first camera's frame to z up, and metres per unit of the rig.
@@ -242,12 +242,12 @@ def _level_frame(
     Up is the mean of the cameras' own estimates, else the direction from ankles to shoulders. The
     unit makes the person's limbs about as long as those of an average body.
     """
-    place = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
+    points = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
     rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
     ratios = []
     for side in ("left", "right"):
         for upper, lower in _LIMBS:
-            a, b = (place.get(f"{side}_{one}") for one in (upper, lower))
+            a, b = (points.get(f"{side}_{one}") for one in (upper, lower))
             own = [rest[joint_index(f"{side}_{one}")] for one in (upper, lower)]
             if a is not None and b is not None:
                 length = np.nanmedian(np.linalg.norm(a - b, axis=-1))
@@ -255,13 +255,13 @@ def _level_frame(
     told = zip(rig.T_camera_world, people, strict=True)
     ups = [T[:3, :3].T @ one.up for T, one in told if one.up is not None]
     if not ups:
-        rise = [place[f"{s}_shoulder"] - place[f"{s}_ankle"] for s in ("left", "right")]
+        rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
         ups = [np.nanmean(rise, axis=(0, 1))]
     up = np.mean(ups, axis=0)
     return rotation_to_level(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
-def _poses_above_ground(
+def _camera_poses_and_body_height(
     rig: Rig, files: Mapping[str, KeypointsFile], people: Sequence[FilmedPerson], body: BodyModel
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], float]:
     """Return T_camera_world of every camera, by a fit that finds the ground, and body height (m).
@@ -273,7 +273,7 @@ def _poses_above_ground(
         body: that is fitted.
     """
     first = next(iter(files.values()))
-    turn, unit = _level_frame(rig, people, first.layout, body)
+    turn, unit = _rotation_to_z_up_and_scale(rig, people, first.layout, body)
     level = all(one.up is not None for one in people)
     poses: dict[str, Float[np.ndarray, "4 4"]] = {}
     seen: list[Sensor] = []
@@ -286,7 +286,7 @@ def _poses_above_ground(
         seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))
         poses[name] = pose
     found = fit(
-        seen, "pose", body=body, ground="unknown", between=_fullest_seconds(files, first.fps)
+        seen, "pose", body=body, ground="unknown", between=_span_seen_best(files, first.fps)
     )
     assert found.T_world_camera is not None
     moved = found.T_world_camera.double().numpy() @ next(iter(poses.values()))
@@ -301,7 +301,7 @@ def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
     return CameraArrays(matrix, camera.image_size, camera.distortion)
 
 
-def _fullest_seconds(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
+def _span_seen_best(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
     """Return the span (s) in which all cameras see most keypoints; None for a short film."""
     seen = np.stack([one.confidence.mean(-1) for one in files.values()]).min(0)
     length = round(_LONGEST_FIT * fps)

@@ -7,7 +7,7 @@ import numpy as np
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
-from recon.core.arrays import usable_rate
+from recon.core.arrays import usable_frame_rate
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.findings import Finding
 from recon.ingest import single
@@ -57,7 +57,7 @@ def convert(
         FileNotFoundError: when there is no such file.
     """
     model = body_given(body)
-    rate = None if fps is None else usable_rate(fps, "fps")
+    rate = None if fps is None else usable_frame_rate(fps, "fps")
     source = str(recording) if isinstance(recording, Path) else recording
     found = single.convert(
         source, model, unit=unit, up=up, hand=hand, mapping=mapping, fps=rate,

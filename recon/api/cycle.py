@@ -42,7 +42,7 @@ def cycle_report(
     assert isinstance(prior, CyclePrior)
     latent = found.result.estimate.decoded.energies["latent"][0]
     moments = np.unique(np.concatenate([seen_times(one) for one in found.observations]).round(3))
-    difference = swing_difference(motion)
+    difference = swing_difference_from_textbook(motion)
     numbers = {
         "seconds": (motion.frames - 1) / motion.fps,
         "moments_seen": len(moments),
@@ -77,8 +77,8 @@ def cycle_report(
     return numbers, tuple(warnings)
 
 
-def swing_difference(motion: Motion) -> float | None:
+def swing_difference_from_textbook(motion: Motion) -> float | None:
     """Return how far hip flexion is from textbook gait; None if no cycle fills the motion."""
-    least = _COVERED * (motion.frames - 1) / motion.fps
-    costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= least]
+    min_seconds = _COVERED * (motion.frames - 1) / motion.fps
+    costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= min_seconds]
     return min(costs, default=None)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
 from recon.body.model import BodyModel
-from recon.core.arrays import usable_rate
+from recon.core.arrays import usable_frame_rate
 from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
@@ -52,7 +52,7 @@ def estimate_given(
         FileNotFoundError: when there is no such file.
     """
     known_shape = None if shape is None else shape_given(shape, body)
-    if not isinstance(motion, Path | str) or _of_this_body(Path(motion), body):
+    if not isinstance(motion, Path | str) or _states_this_body(Path(motion), body):
         if unit or up or hand:
             raise ReconError(
                 "leave out unit, up and hand (of left- or right-handed axes), for estimates "
@@ -69,8 +69,8 @@ def estimate_given(
             f"{motion}: does not say how many frames there are per second; give frame_rate "
             "(--frame-rate), that of the video"
         )
-    usable_rate(rate, "frame_rate")
-    coefficients, words = _shape_to_hold(read, body, own_body, known_shape)
+    usable_frame_rate(rate, "frame_rate")
+    coefficients, words = _shape_to_keep_fixed(read, body, own_body, known_shape)
     translation, rotations = read.translation, read.rotations
     if hand == "left":
         translation, rotations = _unmirrored(translation, rotations, read.up)
@@ -102,14 +102,14 @@ def _unmirrored(
     A horizontal axis of the world is turned round, and the axis that the body's rest pose has
     from right to left, SMPL's x.
     """
-    world, own = np.ones(3), np.array([-1.0, 1.0, 1.0])
-    world["zxy".index(up[0])] = -1.0
-    turned = own[:, None] * rotations * own
-    turned[:, 0] = world[:, None] * rotations[:, 0] * own
-    return translation * world, turned
+    world_signs, body_signs = np.ones(3), np.array([-1.0, 1.0, 1.0])
+    world_signs["zxy".index(up[0])] = -1.0
+    turned = body_signs[:, None] * rotations * body_signs
+    turned[:, 0] = world_signs[:, None] * rotations[:, 0] * body_signs
+    return translation * world_signs, turned
 
 
-def _of_this_body(path: Path, body: BodyModel) -> bool:
+def _states_this_body(path: Path, body: BodyModel) -> bool:
     """Whether a motion file names this body model as the one of its shape coefficients."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
@@ -117,7 +117,7 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
     return "body_checksum" in arrays and str(arrays["body_checksum"]) == body.checksum
 
 
-def _shape_to_hold(
+def _shape_to_keep_fixed(
     read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
 ) -> tuple[Tensor, tuple[str, ...]]:
     """Return the shape coefficients that the fit keeps fixed, and a note if they are a guess."""

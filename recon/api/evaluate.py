@@ -141,7 +141,7 @@ def evaluate(
     ours = _in_double_precision(motion_given(estimate, model, "estimate").file)
     frames = ours.motion.frames
     own = ours.contacts if contacts is None else _labels_as_tensor(contacts, "contacts", frames)
-    visible = _visible_given(truth_visible, frames)
+    visible = _checked_visible_joints(truth_visible, frames)
     if isinstance(truth, str | Path) and Path(truth).suffix.lower() == ".npy":
         truth = load_array(Path(truth))
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
@@ -194,10 +194,10 @@ def _in_double_precision(file: MotionFile) -> MotionFile:
 
 
 def _joint_errors(
-    motion: Motion, given: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
+    motion: Motion, true_joints: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
 ) -> dict[str, float | None]:
     """Return errors of joint positions and accelerations against an array of true joints."""
-    truth = float_tensor(given, "truth").double().cpu()
+    truth = float_tensor(true_joints, "truth").double().cpu()
     require_shape(truth, "truth", (motion.frames, 22, 3))
     truth = truth.reshape(motion.frames, 22, 3)
     if not bool(truth.isfinite().all()):
@@ -213,13 +213,13 @@ def _joint_errors(
     }
 
 
-def _labels_as_tensor(given: Numbers, name: str, frames: int) -> Tensor:
-    labels = given if isinstance(given, Tensor) else float_tensor(given, name)
+def _labels_as_tensor(given_labels: Numbers, name: str, frames: int) -> Tensor:
+    labels = given_labels if isinstance(given_labels, Tensor) else float_tensor(given_labels, name)
     require_shape(labels, name, (frames, 22))
     return labels.cpu()
 
 
-def _visible_given(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"] | None:
+def _checked_visible_joints(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"] | None:
     if given is None:
         return None
     visible = bool_tensor(given, "truth_visible")
@@ -242,7 +242,7 @@ def _labels_of_file(file: MotionFile, name: str, motion: Motion) -> Tensor | Non
 
 
 def _camera_poses(
-    ours: MotionFile, seen: ObservationFile | None
+    estimate: MotionFile, seen: ObservationFile | None
 ) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "4 4"]] | None:
     """The estimated and the true T_world_camera; None where either is unknown.
 
@@ -251,15 +251,15 @@ def _camera_poses(
     """
     if seen is None or isinstance(seen, PositionsFile) or seen.truth_T_world_camera is None:
         return None
-    if ours.T_world_camera is None:
+    if estimate.T_world_camera is None:
         return None
-    if len(ours.T_world_camera) != 1:
+    if len(estimate.T_world_camera) != 1:
         raise ReconError(
-            f"estimate: has {len(ours.T_world_camera)} poses in T_world_camera, but the "
+            f"estimate: has {len(estimate.T_world_camera)} poses in T_world_camera, but the "
             "observation is of a camera that stood still; expected one"
         )
     true = torch.from_numpy(seen.truth_T_world_camera)
-    return ours.T_world_camera[0].to(true), true
+    return estimate.T_world_camera[0].to(true), true
 
 
 def _visible_joints(
@@ -274,20 +274,20 @@ def _visible_joints(
 
 
 def _observed_points(
-    ours: MotionFile,
-    theirs: MotionFile,
-    file: ObservationFile | None,
+    estimate: MotionFile,
+    truth_file: MotionFile,
+    observation: ObservationFile | None,
     path: Path,
     body: BodyModel,
 ) -> ObservedPoints | None:
     """Return where the observed points are on the estimated and on the true body, by frame."""
-    if not isinstance(file, PositionsFile):
+    if not isinstance(observation, PositionsFile):
         return None
-    adapter = positions_of(file, path, body.to(dtype=torch.float32))
-    truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
+    adapter = positions_of(observation, path, body.to(dtype=torch.float32))
+    truth = truth_file.motion.at(estimate.motion.times, estimate.motion.fps)
     predicted, actual = (
-        adapter.predicted(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
+        adapter.predicted(Estimate.of_clip(motion, body))[0] for motion in (estimate.motion, truth)
     )
-    seen = torch.from_numpy(file.visible)
-    times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps
-    return ObservedPoints(predicted, actual, nearest_labels(seen, times, ours.motion.times))
+    seen = torch.from_numpy(observation.visible)
+    times = observation.start_time + torch.arange(len(seen), dtype=torch.float64) / observation.fps
+    return ObservedPoints(predicted, actual, nearest_labels(seen, times, estimate.motion.times))

@@ -13,16 +13,16 @@ from recon.api.given import (
     Shape,
     ShapeLike,
     body_given,
+    checked_prior,
+    fixed_shape_or_prior,
     motion_given,
     paths_given,
-    prior_of,
-    shape_known,
 )
 from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLike
 from recon.api.pipeline import fit_and_check, observations_to_fit
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
+from recon.core.arrays import finite_number, positive_number, usable_device, usable_frame_rate
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check
@@ -147,10 +147,10 @@ def fit(
     )
     clip = sighting.clip
     if fps is not None:
-        usable_rate(fps, "fps")
-    held, expected = shape_known(shape, model)
+        usable_frame_rate(fps, "fps")
+    held, expected = fixed_shape_or_prior(shape, model)
     options = FitOptions(
-        prior=prior_of(prior, weights, method),
+        prior=checked_prior(prior, weights, method),
         weights=weights,
         method=method,
         noise=_noise_of_each(noise, clip),
@@ -230,8 +230,8 @@ def _is_estimate(paths: Sequence[Path]) -> bool:
 
 def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:
     """Raise an error for options that have no effect when a file of SMPL parameters is refined."""
-    heeded = ("frame_rate", "unit", "up", "hand", "person")
-    given = [name for name in options.changed_names() if name not in heeded]
+    used_options = ("frame_rate", "unit", "up", "hand", "person")
+    given = [name for name in options.changed_names() if name not in used_options]
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
@@ -266,7 +266,7 @@ def _noise_of_each(
 
 
 def _start_in_fit_frame(
-    given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
+    given: Motion | Result | Path | str | None, clip: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
     """Return the caller's initial motion with a batch axis, in the coordinates of the fit."""
     if given is None:
@@ -276,7 +276,7 @@ def _start_in_fit_frame(
     motion = given.motion if isinstance(given, Result) else given
     if motion.translation.ndim == 2:
         motion = motion.map(lambda tensor: tensor[None])
-    T = sighting.T_recording_given
+    T = clip.T_recording_given
     if T is None or motion.shape.shape[-1] > body.shape_size:
         return motion
     like = motion.translation

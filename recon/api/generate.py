@@ -21,7 +21,7 @@ from recon.api.made import MadeMotion, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import reasons_for_doubt
 from recon.body.model import BodyModel
-from recon.core.arrays import finite_number, usable_device, usable_rate
+from recon.core.arrays import finite_number, usable_device, usable_frame_rate
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
@@ -167,7 +167,7 @@ def _humos_motions(
 ) -> MotionResults:
     """Random motions of one body, drawn from the prior HUMOS."""
     _frame_count(seconds)
-    rate = REFERENCE_FPS if fps is None else usable_rate(fps, "fps")
+    rate = REFERENCE_FPS if fps is None else usable_frame_rate(fps, "fps")
     model = body_given(body) if prior is None else prior.body
     asked = "0" if shape is None else shape
     coefficients = shape_given(asked, model)

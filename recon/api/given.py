@@ -176,7 +176,7 @@ class Shape:
         )
 
 
-def shape_known(
+def fixed_shape_or_prior(
     given: "ShapeLike | Shape | float | None", body: BodyModel
 ) -> tuple[Float[Tensor, " shape"] | None, ShapePrior | None]:
     """Return a `shape` argument as fixed shape coefficients, or as a prior over them.
@@ -222,7 +222,7 @@ def shape_name(given: ShapeLike) -> str:
     return str(given) if isinstance(given, str | Path) else "shape"
 
 
-def prior_of(given: Any, weights: str, method: Method | None = None) -> str | PriorLike:
+def checked_prior(given: Any, weights: str, method: Method | None = None) -> str | PriorLike:
     """Check a `prior` argument: a name, a "package.module:Class" that exists, or an object.
 
     Args:

@@ -78,8 +78,8 @@ def with_fingers(
     posed = body.pose(motion)
     places = posed.joints[:, list(WRISTS)].double()
     turns = posed.orientations[:, list(WRISTS)].double()
-    seen, repairs = _exchanged_in_images(seen, places)
-    chosen, found = _hands_of_wrists(seen, places)
+    seen, repairs = _views_with_hands_swapped_back(seen, places)
+    chosen, found = _observed_hand_of_each_wrist(seen, places)
     found = Findings(repairs, ()) + found
     model = HandModel.of(body, motion.shape)
     rotations = torch.eye(3).repeat(motion.frames, len(HAND_JOINTS), 1, 1).to(motion.rotations)
@@ -109,13 +109,17 @@ def with_fingers(
 
 
 def _hands_at_frames(
-    motion: Motion, body: BodyModel, sensor: Any, fitted: Any, T: Float[Tensor, "4 4"]
+    motion: Motion,
+    body: BodyModel,
+    sensor: Any,
+    fitted_sensor: Any,
+    T_world_recording: Float[Tensor, "4 4"],
 ) -> _SeenHands:
     """Return one sensor's hand keypoints, sampled at the times of the motion's frames.
 
     Points that are relative to the body are moved to where the body is.
     """
-    numbers = ((motion.times - fitted.start_time) * sensor.fps).round().long()
+    numbers = ((motion.times - fitted_sensor.start_time) * sensor.fps).round().long()
     there = (numbers >= 0) & (numbers < sensor.moments)
     points = sensor.fingers[0].double().cpu()
     numbers = numbers.clamp(0, sensor.moments - 1)
@@ -123,15 +127,20 @@ def _hands_at_frames(
     values, confidence, camera = rows[..., :-1], rows[..., -1] * there[:, None], None
     if sensor.view is None:
         noise = _hand_noise(points, _NOISE_M)
-        values = values @ T[:3, :3].mT + T[:3, 3]
+        values = values @ T_world_recording[:3, :3].mT + T_world_recording[:3, 3]
         if not sensor.placed:
-            own = sensor.positions[0, numbers].double() @ T[:3, :3].mT + T[:3, 3]
+            own = (
+                sensor.positions[0, numbers].double() @ T_world_recording[:3, :3].mT
+                + T_world_recording[:3, 3]
+            )
             counts = sensor.visible[0, numbers].double()[..., None]
             away = (sensor.predict(body.pose(motion)).double() - own) * counts
             values = values + away.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(min=1)
     else:
         noise = _hand_noise(points, _NOISE_PX)
-        camera = fitted.camera.moved(T.numpy()).map(lambda x: x[0].double().cpu())
+        camera = fitted_sensor.camera.moved(T_world_recording.numpy()).map(
+            lambda x: x[0].double().cpu()
+        )
         if camera.T_camera_world.shape[0] > 1:
             camera = camera.at(numbers)
     return _SeenHands(values * (confidence > 0)[..., None], confidence, camera, noise)
@@ -145,7 +154,7 @@ def _hand_noise(points: Float[Tensor, "moments 42 numbers"], limits: tuple[float
     return estimate_noise(points[None, ..., :-1], points[None, ..., -1] > 0, (least, most))
 
 
-def _hands_of_wrists(
+def _observed_hand_of_each_wrist(
     seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
 ) -> tuple[list[int | None], Findings]:
     """Return which observed hand (0, 1) belongs to the left and right wrist; None to skip it.
@@ -172,7 +181,7 @@ def _hands_of_wrists(
     views = [one for one in seen if one.camera is not None]
     spatial += [_triangulated(views)] if len(views) > 1 else []
     away = [[_wrist_distance(seen, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
-    sides = [_side_by_bending(spatial, hand) for hand in (0, 1)]
+    sides = [_side_shown_by_bending(spatial, hand) for hand in (0, 1)]
     there = [hand for hand in (0, 1) if chosen[hand] is not None]
     other = {hand: away[hand][1 - hand] < away[hand][hand] - _NEARER for hand in there}
     if there and all(
@@ -193,7 +202,7 @@ def _hands_of_wrists(
     return chosen, Findings((), tuple(warnings))
 
 
-def _exchanged_in_images(
+def _views_with_hands_swapped_back(
     seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
 ) -> tuple[list[_SeenHands], tuple[Finding, ...]]:
     """Return all views, with left and right hand swapped where each lies at the other wrist."""
@@ -242,7 +251,7 @@ def _hand_finding(hand: int, what: str) -> Finding:
 
 
 def _wrist_distance(
-    seen: Sequence[_SeenHands], hand: int, place: Float[Tensor, "time 3"]
+    seen: Sequence[_SeenHands], hand: int, wrist_positions: Float[Tensor, "time 3"]
 ) -> float:
     """Return the median distance of an observed hand from a wrist of the body, metres.
 
@@ -256,9 +265,9 @@ def _wrist_distance(
         shown = torch.where(wrist, torch.nn.functional.pad(shown[:, :1], (0, 20)), shown)
         middle = (shown[..., None] * view.values).sum(1) / shown.sum(1, keepdim=True).clamp(min=1)
         if one.camera is None:
-            away = (middle - place).norm(dim=-1)
+            away = (middle - wrist_positions).norm(dim=-1)
         else:
-            seen_at = one.camera.project(place[:, None])
+            seen_at = one.camera.project(wrist_positions[:, None])
             focal = one.camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
             pixels = (middle - seen_at.pixels[:, 0]).norm(dim=-1)
             away = pixels * seen_at.depth[:, 0].abs() / focal
@@ -267,7 +276,7 @@ def _wrist_distance(
     return float(every.median()) if len(every) > 0 else 0.0
 
 
-def _side_by_bending(seen: Sequence[_SeenHands], hand: int) -> int | None:
+def _side_shown_by_bending(seen: Sequence[_SeenHands], hand: int) -> int | None:
     """Tell a left (0) from a right hand (1) by how its fingers bend; None if they are straight."""
     found = []
     for one in seen:

@@ -13,7 +13,7 @@ from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
-from recon.core.arrays import finite_number, usable_rate
+from recon.core.arrays import finite_number, usable_frame_rate
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.interpolation import (
@@ -64,7 +64,7 @@ def interpolate(
         raise ReconError(
             f"at: expected a number from 0 (the first motion) to 1 (the second), got {at}"
         )
-    rate = None if fps is None else usable_rate(fps, "fps")
+    rate = None if fps is None else usable_frame_rate(fps, "fps")
     model = body_given(body)
     prior = AnchorFrames.load(weights, model)
     given = (motion_given(a, model, "a"), motion_given(b, model, "b"))

@@ -126,7 +126,7 @@ def label(
     seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
         bodies, like_what = _marked_bodies(like, set, unit, up)
-    outputs = _model_outputs(seen.marker_names, bodies[0].markers.labels)
+    outputs = _are_outputs(seen.marker_names, bodies[0].markers.labels)
     naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled_markers(seen, outputs, naming, like_what, source)
@@ -152,7 +152,7 @@ def _marked_bodies(
     return [body_of_named_trial(trial, body, markers)], trial.name
 
 
-def _model_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
+def _are_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
     """Return a mask of the named points that are no markers (joint centres, angles, ...)."""
     known = np.isin(names, markers)
     if known.sum() < FEWEST_MARKERS:
@@ -186,9 +186,9 @@ def _labelled_markers(
     columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
     labels += [seen.marker_names[k] for k in kept.tolist()]
     # sort the columns by the median place of their points in the file
-    seldom = np.where(columns >= 0, columns, np.nan)
+    place_in_file = np.where(columns >= 0, columns, np.nan)
     shown = (columns >= 0).any(0)
-    order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]
+    order = [*np.argsort(np.nanmedian(place_in_file[:, shown], 0), kind="stable")]
     order = np.concatenate((np.flatnonzero(shown)[order], np.flatnonzero(~shown)))
     columns, labels = columns[:, order], [labels[k] for k in order.tolist()]
     visible = columns >= 0

@@ -60,7 +60,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     return Clip(one, names, (), unposed_camera(one))
 
 
-def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
+def in_fit_frame(clip: Clip, ground: Any) -> ClipInFitFrame:
     """Transform a clip to coordinates that suit the caller's choice of ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
@@ -91,9 +91,9 @@ def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
         if unposed:
             from recon.fitting.ground import LEVEL_CAMERA, camera_above
 
-            return _clip_in_world(clip, camera_above(LEVEL_CAMERA), known=False)
+            return _in_world(clip, camera_above(LEVEL_CAMERA), ground_known=False)
         return ClipInFitFrame(
-            clip if ground == "auto" else _with_ground_known(clip, known=ground == "known")
+            clip if ground == "auto" else _with_ground_known(clip, ground_known=ground == "known")
         )
     from recon.fitting.ground import camera_above, world_above  # rarely needed
 
@@ -101,10 +101,10 @@ def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: files were read with one; give this plane when they are read")
     if unposed:
-        found = _clip_in_world(clip, camera_above(plane), known=False)
+        found = _in_world(clip, camera_above(plane), ground_known=False)
     else:
         level = frame_is_level(clip.observations)
-        found = _clip_in_world(clip, world_above(plane), known=level)
+        found = _in_world(clip, world_above(plane), ground_known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 
 
@@ -166,14 +166,14 @@ def _with_clip_axis(sensor: Sensor) -> Sensor:
     return sensor
 
 
-def _with_ground_known(clip: Clip, *, known: bool) -> Clip:
-    seen = tuple(one.derived(ground_known=known) for one in clip.observations)
+def _with_ground_known(clip: Clip, *, ground_known: bool) -> Clip:
+    seen = tuple(one.derived(ground_known=ground_known) for one in clip.observations)
     return replace(clip, observations=seen, T_recording_camera=unposed_camera(seen))
 
 
-def _clip_in_world(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> ClipInFitFrame:
+def _in_world(clip: Clip, T: Float[np.ndarray, "4 4"], *, ground_known: bool) -> ClipInFitFrame:
     moved = replace(clip, observations=tuple(one.transformed(T) for one in clip.observations))
-    return ClipInFitFrame(_with_ground_known(moved, known=known), T)
+    return ClipInFitFrame(_with_ground_known(moved, ground_known=ground_known), T)
 
 
 def _checked_plane(ground: object) -> Plane:

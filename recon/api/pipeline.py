@@ -10,7 +10,7 @@ from typing import Any
 
 from observations.first_guess import with_first_guess
 from recon.api.given import paths_given
-from recon.api.observations import ClipInFitFrame, clip_of, on_ground, with_robust_kernel
+from recon.api.observations import ClipInFitFrame, clip_of, in_fit_frame, with_robust_kernel
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_number, geometries_given
 from recon.core.errors import ReconError
@@ -47,11 +47,11 @@ def observations_to_fit(
     Raises:
         ReconError, FileNotFoundError: as `recon.fit`.
     """
-    beyond = None if robust == "auto" else finite_number(robust, "robust")
+    cutoff = None if robust == "auto" else finite_number(robust, "robust")
     paths, geometries = paths_given(given), geometries_given(given)
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
-        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane, between=between)
+        how = replace(FitSettings(**vars(how_read)), robust=cutoff, ground=plane, between=between)
         # observations in memory need neither reader
         if paths:
             from recon.reading.clip import load_clip as read
@@ -68,9 +68,9 @@ def observations_to_fit(
     clip = clip_of(given, body)
     if between is not None:
         clip = clip_between(clip, *between)
-    if beyond is not None:
-        clip = with_robust_kernel(clip, beyond)
-    return on_ground(clip, ground)
+    if cutoff is not None:
+        clip = with_robust_kernel(clip, cutoff)
+    return in_fit_frame(clip, ground)
 
 
 def fit_and_check(

@@ -11,7 +11,7 @@ from torch import Tensor
 from observations.camera_paths import can_triangulate, triangulate, views_on_one_clock
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.plugins import LOOKS, imported_object, registered_places
@@ -85,21 +85,21 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
         FileNotFoundError: when there are no such weights.
         ReconError: when there is no such class or function.
     """
-    found, known = method, registered_places(LOOKS)
+    method_or_class, known = method, registered_places(LOOKS)
     if isinstance(method, str):
         if method not in known and ":" not in method:
             names = ", ".join(known)
             raise ReconError(f"method: expected {names} or 'package.module:Class', got {method!r}")
-        found = imported_object(known.get(method, method), "method")
-        if isinstance(found, type):
-            load = getattr(found, "load", None)
-            found = found() if load is None else load(weights, body)
-    if isinstance(found, type) or not callable(found):
+        method_or_class = imported_object(known.get(method, method), "method")
+        if isinstance(method_or_class, type):
+            load = getattr(method_or_class, "load", None)
+            method_or_class = method_or_class() if load is None else load(weights, body)
+    if isinstance(method_or_class, type) or not callable(method_or_class):
         raise ReconError(
             "method: expected a function of observations and a body (recon.method.Look), "
-            f"got {found!r:.80}"
+            f"got {method_or_class!r:.80}"
         )
-    return cast(Look, found)
+    return cast(Look, method_or_class)
 
 
 def likeliest_motion(
@@ -141,10 +141,10 @@ def _preview_fit(
         guess = seen[0].start(body)
         below = ground_by_feet if frame_is_level(observations) else ground_by_posture
         ground = below(guess, body)
-        first, _ = likeliest_motion(look, _carried_to_world(seen, ground), body)
-        ground = ground.replace(lift=ground.lift - sole_heights(first, body))
+        first, _ = likeliest_motion(look, _moved_to_world(seen, ground), body)
+        ground = ground.replace(lift=ground.lift - ground_heights(first, body))
         T = ground.T_world_recording
-    motion, found = likeliest_motion(look, _carried_to_world(seen, ground), body)
+    motion, found = likeliest_motion(look, _moved_to_world(seen, ground), body)
     if (shape := options.starting_shape) is not None:
         motion = with_shape(motion, shape, body)
     scene = Scene.create(1, like=motion.translation).replace(ground=ground)
@@ -156,7 +156,7 @@ def _preview_fit(
     )  # fmt: skip
 
 
-def _carried_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
+def _moved_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
     if ground is None:
         return seen
     return [one.transformed(ground.T_world_recording[0].numpy()) for one in seen]

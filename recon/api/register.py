@@ -211,9 +211,9 @@ def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
 
 def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Return the nearest transform that turns about z and shifts horizontally only."""
-    turn = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
+    angle = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
     out = np.eye(4)
-    out[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    out[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     out[:2, 3] = T[:2, 3]
     return out
 
@@ -246,8 +246,8 @@ def _oriented_clouds(
     return views
 
 
-def _in_world(file: PointsFile, T: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
-    """Transform a camera's points to the world by its pose T; `bare` leaves the camera out."""
-    points = file.points @ T[:3, :3].T + T[:3, 3]
-    lens = None if bare else replace(_camera_of(file), T_camera_world=np.linalg.inv(T)[None])
+def _in_world(file: PointsFile, pose: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
+    """Transform a camera's points to the world by its pose; `bare` leaves the camera out."""
+    points = file.points @ pose[:3, :3].T + pose[:3, 3]
+    lens = None if bare else replace(_camera_of(file), T_camera_world=np.linalg.inv(pose)[None])
     return replace(file, points=points, camera=lens)

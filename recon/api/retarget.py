@@ -128,7 +128,7 @@ def retarget(
         "fps": result.fps,
         "windows": [start / source.fps for start in windows.starts],
         "ground": level,
-        "rotation_change": float(so3.geodesic(source.rotations, made.rotations).mean()),
+        "rotation_change": float(so3.geodesic_angle(source.rotations, made.rotations).mean()),
         "physics": {
             "source": physics_metrics(before),
             "copy": _physical_metrics(
@@ -150,15 +150,15 @@ def retarget(
     return MadeMotion(file, model, warnings, about, tuple(lines), shown=shown)
 
 
-def ground_height(given: GivenMotion, asked: float | None) -> float:
+def ground_height(given: GivenMotion, stated_height: float | None) -> float:
     """Height of a motion's level ground: as the caller gave it, else from the file, else zero.
 
     Raises:
         ReconError: when the file says that it is not level.
     """
     file: MotionFile = given.file
-    if asked is not None or file.ground is None:
-        return asked or 0.0
+    if stated_height is not None or file.ground is None:
+        return stated_height or 0.0
     normal, offset = file.ground[:3], float(file.ground[3])
     length = float(normal.norm())
     if not float(normal[2]) >= _LEVEL * length > 0:

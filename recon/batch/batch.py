@@ -12,7 +12,7 @@ from recon.api.fit import fit
 from recon.batch.clips import shared_shape
 from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
-from recon.cli.films import draw_sheets, films_given
+from recon.cli.films import draw_film_sheets, films_given
 from recon.fitting.methods import trait_of
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, check_outputs, paths_in
@@ -65,7 +65,7 @@ def fit_one(job: FitJob) -> Record:
     result = fit(list(paths), **settings.arguments() | held)
     report = result.report(inputs, asdict(settings) | held)
     result.save(job.target, overwrite=job.overwrite, report=report)
-    draw_sheets(films_given({"observations": paths}), job.target, settings)
+    draw_film_sheets(films_given({"observations": paths}), job.target, settings)
     return record | {
         "status": "failed" if report["failed"] else "ok",
         "seconds": round(time.perf_counter() - began, 3),
@@ -190,12 +190,12 @@ def fit_all(
     shapes = shapes_of_subjects(clips, settings, processes, log, common, run)
     with open_log(log) as lines:
 
-        def job(clip: BatchClip) -> tuple[FitJob]:
+        def arguments_of_fit(clip: BatchClip) -> tuple[FitJob]:
             known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
             target = out / f"{clip.name}.npz"
             return (FitJob(clip, target, settings, common, known, overwrite, shape),)
 
-        for (done,), result in run(work, map(job, large_first(clips)), processes):
+        for (done,), result in run(work, map(arguments_of_fit, large_first(clips)), processes):
             record = result
             if isinstance(result, Failure):
                 record = {"id": done.clip.name, "output": str(done.target), **result.record}

@@ -56,12 +56,12 @@ class SourceClip:
         return ", ".join(part for part in parts if part)
 
     @property
-    def flat(self) -> bool:
+    def on_flat_ground(self) -> bool:
         """Whether the ground is one plane, unlike playgrounds or uneven terrain."""
         return not any(word in self.action.lower() for word in _UNEVEN)
 
     @property
-    def contacts(self) -> bool:
+    def sure_contacts(self) -> bool:
         """Whether foot contacts are reliable: not for skeletons that all subjects share.
 
         They are not where motions were copied to another skeleton.

@@ -100,7 +100,7 @@ def convert_clips(
         write_report(out, [])
     with open_log(out / "log.jsonl") as log:
         every = [clip for clips in found for clip in clips]
-        work = _Corpus(out, log, settings, processes, body, every, calibration, overwrite)
+        work = _Conversion(out, log, settings, processes, body, every, calibration, overwrite)
         for clips in found:
             work.convert(clips)
             logger.info("%s: done", clips[0].collection)
@@ -109,7 +109,7 @@ def convert_clips(
 
 
 @dataclass
-class _Corpus:
+class _Conversion:
     """A running conversion of a corpus: its settings, log and the records of finished clips."""
 
     out: Path
@@ -156,9 +156,9 @@ class _Corpus:
     ) -> None:
         """Calibrate every group's skeleton, then convert and log the group's waiting clips."""
         tasks: dict[str, Task] = {}
-        jobs = [(group.some, self.body) for group in waiting]
+        jobs = [(group.calibrated_from, self.body) for group in waiting]
         for (some, _), subject in run_jobs(self.calibrate, jobs, self.processes):
-            group = next(one for one in waiting if one.some == some)
+            group = next(one for one in waiting if one.calibrated_from == some)
             found = (
                 self._calibrated_without_bad_clips(some)
                 if isinstance(subject, Failure)
@@ -210,11 +210,11 @@ class _Corpus:
         self, group: Sequence[SourceClip], checksums: Mapping[str, str]
     ) -> Iterator["_WaitingClips"]:
         """Yield a skeleton's clips that must be converted; nothing if all results are current."""
-        some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
-        subject = value_checksum([checksums[clip.id] for clip in some])
+        calibration_clips = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
+        subject = value_checksum([checksums[clip.id] for clip in calibration_clips])
         left: list[tuple[SourceClip, str]] = []
         for clip in group:
-            notes = [clip.id, clip.subject, clip.action, clip.flat, clip.contacts]
+            notes = [clip.id, clip.subject, clip.action, clip.on_flat_ground, clip.sure_contacts]
             key = value_checksum([self.settings, subject, checksums[clip.id], notes])
             known = self.log.records.get(clip.id, {})
             if known.get("key") == key and self._is_unchanged(clip, known):
@@ -222,7 +222,7 @@ class _Corpus:
             else:
                 left.append((clip, key))
         if left:
-            yield _WaitingClips(some, left)
+            yield _WaitingClips(calibration_clips, left)
 
     def _is_unchanged(self, clip: SourceClip, known: Record) -> bool:
         """Whether the files that a former run wrote for this clip exist and are unchanged."""
@@ -233,7 +233,7 @@ class _Corpus:
         )
 
     def _task_of(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
-        pieces = clip.name + "."
+        piece_prefix = clip.name + "."
         return Task(
             clip,
             key,
@@ -245,7 +245,7 @@ class _Corpus:
             frozenset(
                 other.name
                 for other in self.clips
-                if other.collection == clip.collection and other.name.startswith(pieces)
+                if other.collection == clip.collection and other.name.startswith(piece_prefix)
             ),
             self.log.records.get(clip.id, {}).get("outputs", {}),
             self.overwrite,
@@ -302,7 +302,7 @@ class _Corpus:
 class _WaitingClips:
     """Clips of one skeleton: those it is calibrated from, and those still to be converted."""
 
-    some: list[SourceClip]
+    calibrated_from: list[SourceClip]
     """Clips from which the skeleton is calibrated."""
     left: list[tuple[SourceClip, str]]
 

@@ -152,8 +152,8 @@ def convert_task(task: Task, content: ClipContent) -> Record:
             "action": clip.action,
             "kept": True,
             **conversion.report,
-            "flat": clip.flat,
-            "contacts": clip.contacts,
+            "flat": clip.on_flat_ground,
+            "contacts": clip.sure_contacts,
             "skeleton": task.subject.skeleton.name,
             "cut": piece.cut,
             "reason": "",
@@ -170,8 +170,8 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
     The report comes first: there is never a motion without one, and a motion that a killed run
     left beside the report of its successor is known by it, too.
     """
-    beside, stage = path.with_suffix(".json"), temporary_path(path)
-    for place in (path, beside):
+    report_path, stage = path.with_suffix(".json"), temporary_path(path)
+    for place in (path, report_path):
         clear_leftovers(place)
     try:
         stage.mkdir()
@@ -180,7 +180,7 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
         found = file_checksum(motion)
         noted = {**row, "checksum": found}
         noted["replaces"] = file_checksum(path) if path.exists() else None
-        write_text(beside, json.dumps(noted, indent=1) + "\n")
+        write_text(report_path, json.dumps(noted, indent=1) + "\n")
         os.replace(motion, path)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
@@ -240,11 +240,11 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
 
 def _reported_checksums(path: Path) -> tuple[object, ...]:
     """Return the checksums in the .json report of a motion file; empty without a report."""
-    beside = path.with_suffix(".json")
-    if not beside.is_file():
+    report_path = path.with_suffix(".json")
+    if not report_path.is_file():
         return ()
     try:
-        row = json.loads(beside.read_text(encoding="utf-8"))
+        row = json.loads(report_path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
         return ()
     if not isinstance(row, dict):

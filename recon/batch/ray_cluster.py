@@ -92,7 +92,7 @@ def _run_on_cluster(
     processes: int,
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
     """Run jobs on the cluster; yields jobs and results as they end, like `run_jobs`."""
-    remote = ray.remote(num_cpus=1, max_retries=0)(_attempt)
+    remote = ray.remote(num_cpus=1, max_retries=0)(_result_as_worker)
     drawn, busy = iter(jobs), dict[Any, tuple[tuple[Any, ...], int]]()
     try:
         while True:
@@ -112,7 +112,7 @@ def _run_on_cluster(
             ray.cancel(one, force=True)
 
 
-def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+def _result_as_worker(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
     """Run a job in a process of the cluster, like `recon.batch.workers.result_or_failure`."""
     as_worker()
     return result_or_failure(function, job)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from recon.batch.workers import Run
 
 
-def _is_former(folder: Path) -> bool:
+def _is_former_batch(folder: Path) -> bool:
     """Whether a folder holds the log of a former `recon batch`, possibly still empty."""
     from recon.batch.worklog import read_log
 
@@ -27,7 +27,7 @@ def _is_former(folder: Path) -> bool:
 
 
 def _batch_output(out: Path, _: Arguments) -> tuple[Output, ...]:
-    return (Output(out, OutputKind.CONTINUED, is_former=_is_former),)
+    return (Output(out, OutputKind.CONTINUED, is_former=_is_former_batch),)
 
 
 def _observations_in_manifest(given: Arguments) -> Iterator[Path]:

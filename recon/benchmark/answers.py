@@ -34,7 +34,7 @@ Row = dict[str, float | None]
 """Values by metric of one window, in SI units; None where it has none."""
 
 
-def stance_height(
+def sole_height_in_contact(
     motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
 ) -> float | None:
     """Return the mean distance of the soles of feet in contact from the ground z = 0, metres."""
@@ -50,13 +50,13 @@ def feet_balanced_accuracy(
 
     The accuracy of a subject is computed over all its windows together.
     """
-    found: list[float] = []
-    for subject in windows.counted:
+    accuracies: list[float] = []
+    for subject in windows.averaged_subjects:
         own = [i for i, one in enumerate(windows.subjects) if one == subject]
         value = metrics.contact_balanced_accuracy(predicted[own], windows.contacts[own], FEET)
         if value is not None:
-            found.append(value)
-    return float(np.mean(found)) if found else None
+            accuracies.append(value)
+    return float(np.mean(accuracies)) if accuracies else None
 
 
 ARRAYS = ("joints", "points", "contacts")
@@ -111,7 +111,7 @@ def answer_of(output: Any, window: SeenWindow, body: BodyModel, name: str) -> An
     return Answer(posed.joints, motion, points, contacts)
 
 
-def answer_in(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
+def answer_from_folder(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
     """Read the prediction for a window in a folder: a motion file, or arrays.
 
     Raises:
@@ -164,24 +164,24 @@ def metrics_of_answer(
     protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel
 ) -> Row:
     """Metrics of a method's answer over the frames that a protocol evaluates, in SI units."""
-    part = slice(*protocol.judged)
+    judged_frames = slice(*protocol.judged)
     truth = window.truth.window(*protocol.judged)
-    touching = window.touching[part]
-    contacts = None if answer.contacts is None else answer.contacts[part]
+    touching = window.touching[judged_frames]
+    contacts = None if answer.contacts is None else answer.contacts[judged_frames]
     observed = None
     if answer.points is not None:
-        visible = torch.from_numpy(window.seen.visible)[part]
-        places = window.points[part].double()
-        observed = ObservedPoints(answer.points[part].double(), places, visible)
+        visible = torch.from_numpy(window.seen.visible)[judged_frames]
+        places = window.points[judged_frames].double()
+        observed = ObservedPoints(answer.points[judged_frames].double(), places, visible)
     if answer.motion is not None:
         motion = answer.motion.window(*protocol.judged)
         row = evaluate(
             motion, truth, body, contacts=contacts, truth_contacts=touching, observed=observed
         )
         for name, one in (("sole_height", motion), ("sole_height_truth", truth)):
-            row[name] = stance_height(one, touching, body)
+            row[name] = sole_height_in_contact(one, touching, body)
         return row
-    own, actual = answer.joints[part], body.pose(truth).joints.double()
+    own, actual = answer.joints[judged_frames], body.pose(truth).joints.double()
     errors = metrics.point_errors(own, actual)
     return {
         **joint_errors(own, actual, None),

@@ -81,7 +81,7 @@ class Splits:
                 return name
         return clip.split("/" if "/" in clip else "_", 1)[0]
 
-    def is_open(self, clip: str) -> bool:
+    def has_open_licence(self, clip: str) -> bool:
         """Whether weights trained on a clip may be published under an open licence."""
         return not _matches(clip, self.non_commercial)
 
@@ -133,12 +133,12 @@ def conversion_notes(motion: Path) -> dict[str, Any]:
     Raises:
         ValueError: when that file is no JSON.
     """
-    beside = motion.with_suffix(".json")
+    path = motion.with_suffix(".json")
     try:
-        noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+        noted = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
     except ValueError as error:
         raise ValueError(
-            f"{beside}: expected JSON notes of recon convert --all, but it is damaged ({error})"
+            f"{path}: expected JSON notes of recon convert --all, but it is damaged ({error})"
         ) from error
     return noted if isinstance(noted, dict) else {}
 

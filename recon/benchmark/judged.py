@@ -9,7 +9,7 @@ import torch
 from recon.benchmark.answers import (
     Answer,
     Row,
-    answer_in,
+    answer_from_folder,
     answer_of,
     feet_balanced_accuracy,
     metrics_of_answer,
@@ -17,7 +17,7 @@ from recon.benchmark.answers import (
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
 from recon.benchmark.table import BenchTable
-from recon.benchmark.windows import BenchPart, TrueWindows, bench_source
+from recon.benchmark.windows import BenchPart, TrueWindows, bench_windows
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.formats.observations import save_observation
@@ -81,7 +81,7 @@ def bench(
             "expected different names of methods and folders of predictions, none of them "
             f"{TRUTH!r}; rename them"
         )
-    windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
+    windows, about, checksum = bench_windows(_as_path(corpus), part, _as_path(splits), only, body)
     seen = seen_windows(asked, windows, body)
     rows: dict[str, list[Row]] = {}
     feet: dict[str, float | None] = {}
@@ -99,7 +99,7 @@ def bench(
         for row, own in zip(rows[name], seconds, strict=True):
             row["seconds"] = own
     for name, folder in folders.items():
-        given = [answer_in(folder, window, body) for window in seen]
+        given = [answer_from_folder(folder, window, body) for window in seen]
         rows[name], feet[name] = _evaluated_windows(asked, windows, seen, given, body)
     truth = [answer_of(window.truth, window, body, TRUTH) for window in seen]
     rows[TRUTH], feet[TRUTH] = _evaluated_windows(asked, windows, seen, truth, body)
@@ -110,7 +110,7 @@ def bench(
         }
         for name, own in rows.items()
     }
-    names, counted = windows.names, tuple(windows.counted)
+    names, counted = windows.names, tuple(windows.averaged_subjects)
     return BenchTable(asked, about, names, windows.subjects, counted, values, feet, checksum)
 
 
@@ -142,7 +142,7 @@ def write_windows(
         FileExistsError: when the folder holds files that recon did not write, unless `overwrite`.
     """
     asked, body = protocol_named(protocol), BodyModel.load()
-    windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
+    windows, about, checksum = bench_windows(_as_path(corpus), part, _as_path(splits), only, body)
     report = {"protocol": asked.name, "about": asked.about, "source": about}
     report |= {"data": checksum, "versions": versions()}
     written: list[Path] = []
@@ -170,5 +170,5 @@ def _evaluated_windows(
     return rows, feet_balanced_accuracy(windows.frames(*protocol.judged), said)
 
 
-def _path(given: Path | str | None) -> Path | None:
+def _as_path(given: Path | str | None) -> Path | None:
     return None if given is None else Path(given)

@@ -28,7 +28,7 @@ class MeanWithInterval:
     high: float
 
     @property
-    def sure(self) -> bool:
+    def excludes_zero(self) -> bool:
         """Whether the interval excludes zero, so that a difference is significant."""
         return self.low > 0 or self.high < 0
 
@@ -51,7 +51,7 @@ def mean_with_interval(
             f"expected one clip and one subject per value, got {len(values)} values, "
             f"{len(clips)} clips, {len(subjects)} subjects"
         )
-    groups = _by_clip(values, clips, subjects)
+    groups = _sums_and_counts_by_subject(values, clips, subjects)
     if not groups:
         raise ValueError("expected a value in at least one window, got none")
     random = np.random.default_rng(0)
@@ -63,22 +63,22 @@ def mean_with_interval(
 
 
 def paired_difference(
-    values: Values, others: Values, clips: Sequence[str], subjects: Sequence[str]
+    values: Values, other: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> MeanWithInterval:
     """Mean difference of two methods on the same windows, with a 95 % interval.
 
     Raises:
         ValueError: when the lengths differ, or no window has both values.
     """
-    if len(values) != len(others):
-        raise ValueError(f"expected the same windows, got {len(values)} and {len(others)} values")
+    if len(values) != len(other):
+        raise ValueError(f"expected the same windows, got {len(values)} and {len(other)} values")
     differences = [
-        None if a is None or b is None else a - b for a, b in zip(values, others, strict=True)
+        None if a is None or b is None else a - b for a, b in zip(values, other, strict=True)
     ]
     return mean_with_interval(differences, clips, subjects)
 
 
-def _by_clip(
+def _sums_and_counts_by_subject(
     values: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> dict[str, Float[np.ndarray, "clips 2"]]:
     """Return, by subject, an array with the sum and the count of the values of each clip."""

@@ -52,7 +52,7 @@ class TrueWindows:
         return tuple(name.rsplit("@", 1)[0] for name in self.names)
 
     @property
-    def counted(self) -> list[str]:
+    def averaged_subjects(self) -> list[str]:
         """The subjects to average over: those not set apart, or all if there are no others."""
         every = sorted(set(self.subjects))
         return [subject for subject in every if subject not in self.apart] or every
@@ -116,7 +116,7 @@ def load_windows(
             )
         if subject not in shapes:
             generator = np.random.default_rng([seed, *subject.encode()])
-            shapes[subject] = draw_girth(body, whole[clip].shape, generator)
+            shapes[subject] = shape_with_random_girth(body, whole[clip].shape, generator)
         if room < frames:
             continue
         if listed != frames:
@@ -153,7 +153,7 @@ def contacts_at(
     return nearest_labels(labels > 0.5, motion.times, times)
 
 
-def draw_girth(
+def shape_with_random_girth(
     body: BodyModel, shape: Float[Tensor, " shape"], random: np.random.Generator
 ) -> Float[Tensor, " shape"]:
     """Draw a random shape with about the same bone lengths as the given one.
@@ -176,7 +176,7 @@ BenchPart = Literal["test", "validation"]
 _SEED = 0
 
 
-def bench_source(
+def bench_windows(
     corpus: Path | None,
     part: BenchPart,
     splits: Path | None,
@@ -212,9 +212,9 @@ def bench_source(
     else:
         listed = Splits.load(SPLITS if splits is None else splits)
         if splits is None:
-            listed = free_windows(listed, part)
+            listed = with_freely_licensed_windows(listed, part)
         windows = load_windows(corpus, listed, part, body, _SEED)
-        people = ", ".join(windows.counted)
+        people = ", ".join(windows.averaged_subjects)
         about = f"{part} part, {len(windows.names)} windows, means over {people}"
         checksum = files_checksum(windows.files, corpus)
     count = len(windows.names)
@@ -224,10 +224,10 @@ def bench_source(
     return windows.take(chosen), f"{about}; {only} of the windows only", checksum
 
 
-def free_windows(splits: Splits, part: Part) -> Splits:
+def with_freely_licensed_windows(splits: Splits, part: Part) -> Splits:
     """Return the splits with the windows of one part alone, those of freely licensed clips."""
     lengths = {
-        frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
+        frames: tuple((clip, first) for clip, first in rows if splits.has_open_licence(clip))
         for frames, rows in splits.windows.get(part, {}).items()
     }
     return replace(splits, windows={part: lengths})

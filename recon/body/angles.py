@@ -35,11 +35,11 @@ class _JointAngles:
     signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def degrees(
-        self, proximal: np.ndarray, distal: np.ndarray, end: str
+        self, proximal: np.ndarray, distal: np.ndarray, side: str
     ) -> Float[np.ndarray, "time 3"]:
-        """Return the three angles between two segments' axes; `end` is `l` for a left limb."""
+        """Return the three angles between two segments' axes; `side` is `l` or `r`."""
         relative = np.swapaxes(proximal, -1, -2) @ distal
-        if end == "l":
+        if side == "l":
             relative = _MIRROR @ relative @ _MIRROR
         angles = (
             elevation_angles(relative) if self.order == "YXY" else cardan(relative, self.order)
@@ -125,7 +125,7 @@ def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "
     return dict(zip(ISB_ANGLES, np.concatenate(found, -1).T, strict=True))
 
 
-def isb_slopes(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angles 66"]:
+def isb_angle_derivatives(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angles 66"]:
     """Derivatives of all angles by rotation steps w of the joints, R_j Exp(w_j), degrees / radian.
 
     A joint between two segments turns the distal one, whose axes are A, by Aᵀ O_j w_j about its

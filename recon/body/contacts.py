@@ -32,7 +32,7 @@ def rest_heights(
     return body.rest_joints(shape)[..., 1] - sole[..., None]
 
 
-def touching_heights(rest_height: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
+def heights_in_contact(rest_height: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
     """Height of each joint above the ground while its part of the body lies on it, metres.
 
     Ankles and toes touch at their rest height. Knees and wrists touch when the flesh around
@@ -100,7 +100,7 @@ def _contact_margins(
     """
     limits = [TOE_REACH if j in TOES else LIMB_REACH for j in range(len(JOINTS))]
     may_touch = [j in CONTACT_JOINTS and JOINTS[j] != "pelvis" for j in range(len(JOINTS))]
-    height = joints[..., 2] - touching_heights(rest_height)[..., None, :]
+    height = joints[..., 2] - heights_in_contact(rest_height)[..., None, :]
     lower = height.new_tensor(limits) - height
     slower = MAXIMUM_SPEED - speeds(joints, fps)
     return lower, slower, torch.tensor(may_touch, device=joints.device)

@@ -91,14 +91,14 @@ def hip_flexion(motion: Motion) -> Float[np.ndarray, "frames 2"]:
 
 
 def warping_costs(
-    template: Float[np.ndarray, "rows hips"], hips: Float[np.ndarray, "frames hips"]
+    template: Float[np.ndarray, "rows hips"], flexion: Float[np.ndarray, "frames hips"]
 ) -> tuple[Float[np.ndarray, " frames"], Int[np.ndarray, " frames"]]:
     """Return, per frame, the mean cost of the best warping path that ends there, and its start.
 
     Every row of the template counts once, so costs of paths of all lengths are comparable.
     """
-    rows, frames = len(template), len(hips)
-    local = np.square(template[:, None] - hips[None]).mean(-1)
+    rows, frames = len(template), len(flexion)
+    local = np.square(template[:, None] - flexion[None]).mean(-1)
     total = np.full((rows, frames), np.inf)
     begin = np.zeros((rows, frames), np.int64)
     total[0], begin[0] = local[0], np.arange(frames)
@@ -151,10 +151,10 @@ def _minima_below(cost: Float[np.ndarray, " frames"], threshold: float) -> list[
     return np.flatnonzero(lowest & (cost <= threshold)).tolist()
 
 
-def _without_overlaps(found: list[Cycle]) -> tuple[Cycle, ...]:
+def _without_overlaps(cycles: list[Cycle]) -> tuple[Cycle, ...]:
     """Remove overlapping gait cycles, keeping those of least cost, in order of time."""
     kept: list[Cycle] = []
-    for cycle in sorted(found, key=lambda cycle: cycle.cost):
+    for cycle in sorted(cycles, key=lambda cycle: cycle.cost):
         if all(_overlap_of_cycles(cycle, other) <= _OVERLAP for other in kept):
             kept.append(cycle)
     return tuple(sorted(kept, key=lambda cycle: cycle.start))

@@ -14,7 +14,7 @@ from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 
 @dataclass(frozen=True)
-class CarriedPoints:
+class BonePoints:
     """Points fixed to bones with rotation O_j and origin p_j: p_v = Σ_j O_j c_vj + m_vj p_j.
 
     Joints, points of the skin (linear blend skinning) and their means are such points.
@@ -37,7 +37,7 @@ class CarriedPoints:
         of_joints: Float[Tensor, "points 22"],
         of_vertices: Float[Tensor, "points vertices"],
         vertices: Int[Tensor, " vertices"],
-    ) -> "CarriedPoints":
+    ) -> "BonePoints":
         """Points as means of joints and vertices, p = A joints + B vertices.
 
         The rotation-dependent corrections of SMPL bodies are left out.
@@ -51,7 +51,7 @@ class CarriedPoints:
         return cls(of_joints + of_vertices @ weights, place, by_shape[: len(shape)])
 
     @classmethod
-    def joints(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "CarriedPoints":
+    def of_joints(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "BonePoints":
         """Return the 22 joints of the body as points on bones."""
         count = len(JOINTS)
         none = torch.zeros(0, dtype=torch.long, device=shape.device)
@@ -59,24 +59,22 @@ class CarriedPoints:
         found = cls.create(body, shape, eye, shape.new_zeros(count, 0), none)
         return replace(found, own_joints=tuple(range(count)))
 
-    def some(self, rows: Sequence[int]) -> "CarriedPoints":
+    def selected(self, rows: Sequence[int]) -> "BonePoints":
         """Return the points with the given numbers, in the given order."""
         order, own = cached_constant(tuple(rows), self.share.device), self.own_joints
-        return CarriedPoints(
+        return BonePoints(
             self.share[order], self.place[order], self.place_by_shape[:, order],
             None if own is None else tuple(own[row] for row in rows),
         )  # fmt: skip
 
-    def displaced(
-        self, bones: Sequence[int], offsets: Float[Tensor, "points 3"]
-    ) -> "CarriedPoints":
+    def displaced(self, bones: Sequence[int], offsets: Float[Tensor, "points 3"]) -> "BonePoints":
         """Return the points shifted by constant offsets (m), each in the axes of its bone."""
         place = self.place.clone()
         of_bone = cached_constant(tuple(bones), place.device)
         place[torch.arange(len(place), device=place.device), of_bone] += offsets
         return replace(self, place=place, own_joints=None)
 
-    def of(
+    def positions(
         self,
         orientations: Float[Tensor, "*batch 22 3 3"],
         joints: Float[Tensor, "*batch 22 3"],

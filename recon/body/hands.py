@@ -91,8 +91,8 @@ class HandModel:
     def posed(
         self,
         angles: Float[Tensor, "time 22"],
-        wrist: Float[Tensor, "time 3 3"],
-        place: Float[Tensor, "time 3"],
+        wrist_rotation: Float[Tensor, "time 3 3"],
+        wrist_position: Float[Tensor, "time 3"],
         side: int,
         lengths: Float[Tensor, " 20"] | None = None,
     ) -> "PosedHand":
@@ -101,7 +101,7 @@ class HandModel:
         bones = self.directions[side] * size[:, None]
         points, local, axes, pivots, ways = [], [], [], [], []
         for finger in range(len(FINGERS)):
-            turn, at = wrist, place
+            turn, at = wrist_rotation, wrist_position
             for k in range(4):
                 bone = 4 * finger + k
                 ways.append(turn @ self.directions[side, bone])
@@ -136,24 +136,26 @@ class PosedHand:
 
 
 def _left_hand_axes(
-    thumb: Float[Tensor, "4 3"], turn: Float[Tensor, "3 3"], ahead: Float[Tensor, "5 3"]
+    thumb_bones: Float[Tensor, "4 3"],
+    turn_to_flat: Float[Tensor, "3 3"],
+    first_bones: Float[Tensor, "5 3"],
 ) -> Float[Tensor, "22 3"]:
     """Unit vectors that the 22 angles turn about in the flat left hand.
 
     Args:
-        thumb: bones of the relaxed thumb, which is bent and so tells how it bends.
-        turn: rotation of its first bone to the flat hand.
-        ahead: first bones of the fingers of the flat hand.
+        thumb_bones: bones of the relaxed thumb, which is bent and so tells how it bends.
+        turn_to_flat: rotation of its first bone to the flat hand.
+        first_bones: first bones of the fingers of the flat hand.
     """
-    palm = ahead.new_tensor([0.0, -1.0, 0.0])
-    ahead = ahead / ahead.norm(dim=-1, keepdim=True)
-    level = torch.linalg.cross(ahead, palm.expand_as(ahead), dim=-1)
+    palm = first_bones.new_tensor([0.0, -1.0, 0.0])
+    first_bones = first_bones / first_bones.norm(dim=-1, keepdim=True)
+    level = torch.linalg.cross(first_bones, palm.expand_as(first_bones), dim=-1)
     level = level / level.norm(dim=-1, keepdim=True)
-    bend = turn @ torch.linalg.cross(thumb[1], thumb[3], dim=-1)
-    bend = bend - (bend @ ahead[0]) * ahead[0]
+    bend = turn_to_flat @ torch.linalg.cross(thumb_bones[1], thumb_bones[3], dim=-1)
+    bend = bend - (bend @ first_bones[0]) * first_bones[0]
     bend = bend / bend.norm()
-    across = torch.linalg.cross(bend, ahead[0], dim=-1)
-    rows = [-palm, level[0], ahead[0], across, bend, bend]
+    across = torch.linalg.cross(bend, first_bones[0], dim=-1)
+    rows = [-palm, level[0], first_bones[0], across, bend, bend]
     for finger in range(1, len(FINGERS)):
         rows += [palm, level[finger], level[finger], level[finger]]
     return torch.stack(rows)

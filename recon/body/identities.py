@@ -79,11 +79,11 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
             no shape has it.
     """
     words = [word.strip() for word in spec.split(",")]
-    if _all_numbers(words):
-        return _coefficients(spec, words, body)
+    if _are_numbers(words):
+        return _coefficients_of_words(spec, words, body)
     if spec.strip().endswith(".npz") or Path(spec).is_file():
         return load_motion_of(Path(spec.strip()), body).motion.shape
-    return _shape_with_measures(_measures_asked(spec, words), body)
+    return _shape_with_measures(_parsed_measures(spec, words), body)
 
 
 def body_weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
@@ -111,8 +111,8 @@ def reasons_for_doubt(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[s
 def nearest_shape(
     base: Float[Tensor, " shape"],
     measures: Sequence[Measure],
-    wanted: Sequence[float],
-    allowed: Float[Tensor, "shape shape"],
+    wanted_values: Sequence[float],
+    projection: Float[Tensor, "shape shape"],
 ) -> Float[Tensor, " shape"]:
     """The shape nearest to `base` that has the wanted measures.
 
@@ -122,15 +122,15 @@ def nearest_shape(
     Args:
         base: s0.
         measures: c(s), metres or kilograms.
-        wanted: c.
-        allowed: projection onto the directions in which the shape may change.
+        wanted_values: c.
+        projection: projection onto the directions in which the shape may change.
 
     Raises:
         ValueError: when no shape is found that has them.
     """
-    goal, shape = base.new_tensor(wanted), base
+    goal, shape = base.new_tensor(wanted_values), base
     for _ in range(_STEPS):
-        values, slopes = _values_and_gradients(shape, measures, allowed)
+        values, slopes = _values_and_gradients(shape, measures, projection)
         if bool(((goal - values).abs() < _CLOSE).all()):
             return shape
         change = goal - values + slopes @ (shape - base)
@@ -141,14 +141,14 @@ def nearest_shape(
     raise ReconError("no body of this model has these measures; give some nearer to the average")
 
 
-def _all_numbers(words: list[str]) -> bool:
+def _are_numbers(words: list[str]) -> bool:
     try:
         return bool([float(word) for word in words])
     except ValueError:
         return False
 
 
-def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
+def _coefficients_of_words(spec: str, words: list[str], body: BodyModel) -> Tensor:
     values = [float(word) for word in words]
     if len(values) > body.shape_size:
         raise ReconError(
@@ -160,7 +160,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
-def _measures_asked(spec: str, words: list[str]) -> _WantedMeasures:
+def _parsed_measures(spec: str, words: list[str]) -> _WantedMeasures:
     """Parse words such as "woman" or "height=1.65" to wanted sex, height and weight."""
     found: dict[str, Any] = {}
     for word in words:
@@ -232,10 +232,10 @@ def _mean_of_sex(sex: _FromAverage | None, body: BodyModel) -> tuple[Tensor, Ten
 
 
 def _values_and_gradients(
-    shape: Tensor, measures: Sequence[Measure], allowed: Tensor
+    shape: Tensor, measures: Sequence[Measure], projection: Tensor
 ) -> tuple[Float[Tensor, " measures"], Float[Tensor, "measures shape"]]:
-    """Return body measures of a shape, and their gradients projected by the matrix `allowed`."""
+    """Return body measures of a shape, and their gradients times `projection`."""
     at = shape.detach().requires_grad_()
     values = [of(at) for of in measures]
     slopes = torch.stack([torch.autograd.grad(value, at)[0] for value in values])
-    return torch.stack(values).detach(), slopes @ allowed
+    return torch.stack(values).detach(), slopes @ projection

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.body.derivatives import BELOW, CarriedPoints
+from recon.body.derivatives import BELOW, BonePoints
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, PARENTS
@@ -66,7 +66,7 @@ class Levers(TensorStruct):
     from the joint."""
 
     @classmethod
-    def of(cls, points: CarriedPoints) -> "Levers":
+    def of(cls, points: BonePoints) -> "Levers":
         """Build the matrices for points with offsets c_vj from joints and joint weights m_vj."""
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
@@ -78,7 +78,7 @@ class Levers(TensorStruct):
             columns.flatten(1).mT.contiguous(), arms.flatten(2).flatten(0, 1).mT.contiguous()
         )
 
-    def places(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points"]:
+    def positions(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points"]:
         """Return the points' positions for given bone poses, world coordinates, metres."""
         return pose @ self.points
 
@@ -175,7 +175,7 @@ class ShapeLevers(TensorStruct):
     """Derivatives of the place of the root at rest, which all points share."""
 
     @classmethod
-    def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
+    def of(cls, points: BonePoints, body: BodyModel) -> "ShapeLevers":
         """Build the matrices; the shape moves points on their bones and changes bone lengths."""
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)

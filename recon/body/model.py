@@ -99,8 +99,8 @@ class BodyModel(TensorStruct):
 
     def height(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """Height of the unposed body from the soles to the crown, metres."""
-        level = self.rest_vertices(shape)[..., 1]
-        return level.amax(-1) - level.amin(-1)
+        vertex_heights = self.rest_vertices(shape)[..., 1]
+        return vertex_heights.amax(-1) - vertex_heights.amin(-1)
 
     def pose(self, motion: Motion) -> "PosedBody":
         """Pose the body by a motion; joints are computed now, vertices when they are asked for."""

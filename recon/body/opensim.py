@@ -131,19 +131,19 @@ def opensim_coordinates(
 
 
 def _joint_coordinates(
-    joint: _Joint, axes: Mapping[str, np.ndarray], end: str
+    joint: _Joint, axes: Mapping[str, np.ndarray], side: str
 ) -> dict[str, Float[np.ndarray, " time"]]:
-    proximal = joint.proximal if joint.proximal in axes else f"{joint.proximal}_{end}"
-    distal = f"{joint.distal}_{end}" if end else joint.distal
+    proximal = joint.proximal if joint.proximal in axes else f"{joint.proximal}_{side}"
+    distal = f"{joint.distal}_{side}" if side else joint.distal
     relative = np.swapaxes(axes[proximal], -1, -2) @ axes[distal]
-    about = [_mirrored_axis(axis) if end == "l" else axis for axis in joint.axes]
+    about = [_mirrored_axis(axis) if side == "l" else axis for axis in joint.axes]
     if len(about) == 3:
         order = "".join("XYZ"[int(np.argmax(np.abs(axis)))] for axis in about)
         signs = [float(np.sum(axis)) for axis in about]
         turned = cardan(relative, order) * signs
     else:
         turned = angles_about_axes(relative, about)
-    ending = f"_{end}" if end else ""
+    ending = f"_{side}" if side else ""
     degrees = np.rad2deg(turned)
     return {f"{n}{ending}": degrees[:, k] for k, n in enumerate(joint.names) if n}
 
@@ -198,7 +198,7 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
         flexion = points.vector_to_right(end, "knee_medial", "knee_lateral")
         foot = axes_along_y(UP, flexion)
-        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        knuckles = points.middle_of(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
             f"femur_{end}": axes_along_y(hip - knee, flexion),
             f"tibia_{end}": axes_along_y(knee - ankle, flexion),
@@ -224,7 +224,7 @@ def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"
     """
     posed = body.pose(motion)
     points = rest_points(body, motion.shape)
-    offset = points.mean("left_asis", "right_asis") - points.joint("pelvis")
+    offset = points.middle_of("left_asis", "right_asis") - points.joint("pelvis")
     orientations = posed.orientations[:, 0].detach().double().cpu().numpy()
     return posed.joints[:, 0].detach().double().cpu().numpy() + orientations @ offset
 

@@ -56,17 +56,17 @@ class RestPoints:
         """Position of a joint, metres."""
         return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
 
-    def mean(self, *names: str) -> Float[np.ndarray, "3"]:
+    def middle_of(self, *names: str) -> Float[np.ndarray, "3"]:
         """Mean position of landmarks of the skin, metres."""
         index = torch.tensor([landmark(name) for name in names])
         points = self.body.rest_vertices(self.shape, index)
         return points.detach().double().numpy().mean(0)
 
-    def vector_to_right(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
+    def vector_to_right(self, side: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
         """Return the vector between a medial and a lateral landmark, pointing right; metres."""
-        side = SIDES[end]
-        across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
-        return across if end == "r" else -across
+        name = SIDES[side]
+        across = self.middle_of(f"{name}_{lateral}") - self.middle_of(f"{name}_{medial}")
+        return across if side == "r" else -across
 
 
 def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
@@ -79,25 +79,25 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         ValueError: when the body is not the bundled one, whose landmarks alone are known.
     """
     points = rest_points(body, shape)
-    across = points.mean("right_asis") - points.mean("left_asis")
-    behind = points.mean("left_psis", "right_psis")
-    front = points.mean("left_asis", "right_asis") - behind
-    low, high = points.mean("xiphoid", "t7"), points.mean("sternal_notch", "c7")
+    across = points.middle_of("right_asis") - points.middle_of("left_asis")
+    behind = points.middle_of("left_psis", "right_psis")
+    front = points.middle_of("left_asis", "right_asis") - behind
+    low, high = (points.middle_of("xiphoid", "t7"), points.middle_of("sternal_notch", "c7"))
     # the sagittal plane of the thorax contains the two landmarks at its upper end
-    depth = points.mean("sternal_notch") - points.mean("c7")
+    depth = points.middle_of("sternal_notch") - points.middle_of("c7")
     axes = {
         "pelvis": _axes_along_z(across, np.cross(across, front)),
         "thorax": axes_along_y(high - low, np.cross(depth, high - low)),
     }
     for end, side in SIDES.items():
-        knee = points.mean(f"{side}_knee_lateral", f"{side}_knee_medial")
-        elbow = points.mean(f"{side}_elbow_lateral", f"{side}_elbow_medial")
-        wrist = points.mean(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
+        knee = points.middle_of(f"{side}_knee_lateral", f"{side}_knee_medial")
+        elbow = points.middle_of(f"{side}_elbow_lateral", f"{side}_elbow_medial")
+        wrist = points.middle_of(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
         hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
-        ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
+        ankle = points.middle_of(f"{side}_ankle_lateral", f"{side}_ankle_medial")
         malleoli = points.vector_to_right(end, "ankle_medial", "ankle_lateral")
         tibia = _axes_along_z(malleoli, knee - ankle)
-        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        knuckles = points.middle_of(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
             f"femur_{end}": axes_along_y(
                 hip - knee, points.vector_to_right(end, "knee_medial", "knee_lateral")
@@ -108,7 +108,7 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
                 shoulder - elbow, points.vector_to_right(end, "elbow_medial", "elbow_lateral")
             ),
             f"forearm_{end}": axes_along_y(
-                elbow - points.mean(f"{side}_wrist_ulnar"),
+                elbow - points.middle_of(f"{side}_wrist_ulnar"),
                 points.vector_to_right(end, "wrist_ulnar", "wrist_radial"),
             ),
             f"hand_{end}": axes_along_y(

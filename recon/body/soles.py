@@ -99,27 +99,27 @@ class Stance:
         return cls(torch.cat(lowest), slow.any(-2), slow.all(-2))
 
     @property
-    def frames(self) -> int:
+    def standing_frames(self) -> int:
         """Number of frames in which at least one foot stands."""
         return int(self.slow.any(-1).sum())
 
-    def height(self) -> float:
+    def ground_height(self) -> float:
         """Estimate the height of level ground below the clip, metres.
 
         The 5th percentile over stance frames of the sole's lowest point; over all frames when no
         foot ever stands.
         """
         heights = self.lowest[..., 2]
-        chosen = heights[self.slow] if self.frames > 0 else heights.amin(-1)
+        chosen = heights[self.slow] if self.standing_frames > 0 else heights.amin(-1)
         return float(chosen.quantile(_GROUND_PERCENTILE))
 
 
-def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
+def ground_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
     """Estimate the height of level ground below every clip from its soles, metres."""
-    here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
-    soles = Soles.of(here)
+    body_on_cpu, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
+    soles = Soles.of(body_on_cpu)
     heights = [
-        Stance.of(clip.window(0, int(clip.valid.sum())), here, soles).height()
+        Stance.of(clip.window(0, int(clip.valid.sum())), body_on_cpu, soles).ground_height()
         for clip in (clips[row] for row in range(len(clips.translation)))
     ]
     return motion.translation.new_tensor(heights)

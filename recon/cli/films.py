@@ -52,7 +52,7 @@ def films_given(given: Mapping[str, Any]) -> list[Path]:
     return [film for path in paths if isinstance(path, Path) for film in films_at(path)]
 
 
-def draw_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None:
+def draw_film_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None:
     """Draw eight frames of every film with the fitted body over them, to OUT.sheet.png.
 
     An error is printed as a warning; the result is kept.

@@ -16,7 +16,7 @@ from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, OutputKind
 
 
-def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
+def _file_or_folder_output(out: Path, given: Arguments) -> tuple[Output, ...]:
     """Return the output of `recon simulate`: a file, or a folder for scans or several cameras."""
     several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
     return (
@@ -45,7 +45,7 @@ CORE = {
     "retarget": Verb("recon.api.retarget:retarget"),
     "simulate": Verb(
         "recon.api.simulate:simulate",
-        (Place("out", _file_or_folder),),
+        (Place("out", _file_or_folder_output),),
         "observation file to write; a folder for several cameras. Of scans, .npz is one file and "
         "all else a folder of .ply files.",
         out_follows=True,

@@ -35,7 +35,7 @@ def refuse_unsuitable(given: Mapping[str, Any]) -> None:
 
         paths = given.get("observations", ())
         if settings.reader is None and not registered_places(SENSORS):
-            refuse_foreign(paths)
+            refuse_foreign_files(paths)
             if settings.up is None:
                 refuse_unknown_markers(paths, settings.mapping, settings.unit)
     recording = given.get("recording", given.get("trial"))
@@ -44,7 +44,7 @@ def refuse_unsuitable(given: Mapping[str, Any]) -> None:
         refuse_unknown_recording(recording, given["unit"], given["up"])
 
 
-def refuse_foreign(paths: Sequence[Path]) -> None:
+def refuse_foreign_files(paths: Sequence[Path]) -> None:
     """Refuse files that cannot be fitted, judged by program, suffix and first bytes.
 
     Raises:
@@ -61,12 +61,12 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
             head = file.read(_HEAD)
         if len(head) == 0:
             raise FormatError(f"{path}: the file is empty")
-        wrong = _reason_to_refuse(path, head, known=producer_of(path) is not None)
+        wrong = _reason_to_refuse(path, head, known_producer=producer_of(path) is not None)
         if wrong is not None:
             raise FormatError(f"{path}: {wrong}")
 
 
-def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
+def _reason_to_refuse(path: Path, head: bytes, *, known_producer: bool) -> str | None:
     """Return why a file is unsuitable, by suffix and first bytes; None if it may be fitted."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
@@ -80,7 +80,7 @@ def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
             return "expected a C3D file, whose second byte is 0x50"
         case ".trc" if not text.lower().startswith("pathfiletype"):
             return f"expected a TRC file, whose first line is PathFileType; got {first}"
-        case ".csv" if not known:
+        case ".csv" if not known_producer:
             return (
                 "expected a table of keypoints: columns such as left_hip_x, left_hip_y, "
                 "left_hip_z, or frame, keypoint, x, y, z, or DeepLabCut's header rows scorer, "
@@ -88,12 +88,12 @@ def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
             )
         case ".json" if text.lstrip()[:1] not in ("{", "["):
             return "expected JSON, which begins with { or ["
-        case ".json" if len(head) < _HEAD and not known:
+        case ".json" if len(head) < _HEAD and not known_producer:
             return (
                 "expected keypoints in JSON (people, annots, keypoints, landmarks, bodies, "
                 f"names); got {text[:60]!r}"
             )
-        case _ if known or ending in (".npz", ".npy", ".json"):
+        case _ if known_producer or ending in (".npz", ".npy", ".json"):
             return None
         case _:
             return f"files ending in {ending or 'nothing'} are not known; expected {EXPECTED}"

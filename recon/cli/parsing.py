@@ -23,7 +23,7 @@ def parsed_command(words: Sequence[str]) -> Callable[[], None]:
     """
     import tyro
 
-    words = _with_verb_of_all(list(words))
+    words = _with_all_joined_to_verb(list(words))
     first = words[0] if len(words) > 0 else ""
     if first in listing.CORE or (first and first in listing.verb_names()):
         return _parsed_verb(first, words[1:])
@@ -41,7 +41,7 @@ def parsed_command(words: Sequence[str]) -> Callable[[], None]:
     return app.cli(prog="recon", description=listing.__doc__ or "", args=words or ["--help"])
 
 
-def _with_verb_of_all(words: list[str]) -> list[str]:
+def _with_all_joined_to_verb(words: list[str]) -> list[str]:
     """Replace `VERB --all` by the verb `VERB-all`, which another package registers."""
     option = listing.WHOLE.get(words[0], ()) if words else ()
     for k in range(len(words)):
@@ -124,17 +124,17 @@ def _storing_arguments(verb: Callable[..., None]) -> Callable[..., Callable[[], 
     """Wrap a verb so that a call does not run it, but returns a function that does."""
 
     @functools.wraps(verb)
-    def later(*args: Any, **kwargs: Any) -> Callable[[], None]:
+    def store_arguments(*args: Any, **kwargs: Any) -> Callable[[], None]:
         return functools.partial(verb, *args, **kwargs)
 
-    return later
+    return store_arguments
 
 
 def _with_short_help(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     """Wrap a verb as `_storing_arguments` does, with its docstring cut to one paragraph."""
-    later = _storing_arguments(verb)
-    later.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
-    return later
+    storing = _storing_arguments(verb)
+    storing.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
+    return storing
 
 
 def _description(name: str, verb: Callable[..., None]) -> str:

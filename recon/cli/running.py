@@ -8,7 +8,7 @@ from typing import Any
 
 from recon.cli import console
 from recon.cli.errors import Failed
-from recon.cli.films import draw_sheets, films_given, with_films_detected
+from recon.cli.films import draw_film_sheets, films_given, with_films_detected
 from recon.cli.looks import refuse_unsuitable
 
 
@@ -51,7 +51,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     out = given[written[0]]
     write_and_tell(result, out, inputs, options, given)
     if settings is not None:
-        draw_sheets(films_given(given), out, settings)
+        draw_film_sheets(films_given(given), out, settings)
 
 
 def write_and_tell(

@@ -69,13 +69,13 @@ def geometries_given(given: Any) -> tuple[Any, ...]:
     return several if all(map(is_geometry, several)) else ()
 
 
-def is_geometry(one: Any) -> bool:
+def is_geometry(given: Any) -> bool:
     """Whether an object is an Open3D cloud or mesh, or a pair of depth image and lens."""
-    if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
-        return hasattr(one[0], "depth")
-    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's results are no geometries
+    if isinstance(given, tuple) and len(given) == 2 and hasattr(given[1], "intrinsic_matrix"):
+        return hasattr(given[0], "depth")
+    if hasattr(given, "motion") or hasattr(given, "fps"):  # recon's results are no geometries
         return False
-    return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
+    return any(hasattr(given, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 
 
 def bool_tensor(values: Any, name: str) -> Tensor:
@@ -140,7 +140,7 @@ def positive_number(value: Any, name: str) -> float:
     return number
 
 
-def usable_rate(value: Any, name: str) -> float:
+def usable_frame_rate(value: Any, name: str) -> float:
     """Return a value as a float; refuse an implausible frame rate in Hz (ValueError)."""
     FRAME_RATE.check(rate := positive_number(value, name), name)
     return rate
@@ -185,7 +185,7 @@ def finite_median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarr
     return np.take_along_axis(ordered, middle, -1).mean(-1)
 
 
-def runs(flags: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
+def runs_of_true(flags: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     """Index range [start, stop) of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -363,7 +363,7 @@ def tangent_basis(normal: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 
     return torch.stack((first, second), -1)
 
 
-def canonical_rotation(
+def rotation_to_heading_frame(
     ground: Ground, root: Float[Tensor, "*batch 3 3"]
 ) -> Float[Tensor, "*batch 3 3"]:
     """Rotation into the frame whose z is the ground's normal and whose y is the body's forward.
@@ -392,7 +392,7 @@ def world_from_camera(
     `origin` (a point such as the first pelvis, camera frame, metres) lies above its origin. All
     of it follows from values a fit moves, so gradients reach the ground through it.
     """
-    rotation = canonical_rotation(ground, root)
+    rotation = rotation_to_heading_frame(ground, root)
     turned = (rotation @ origin[..., None])[..., 0]
     shift = torch.cat((-turned[..., :2], -ground.offset[..., None]), -1)
     return so3.rigid(rotation, shift)

@@ -238,11 +238,11 @@ def _means_of_chosen(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
 
-def settled_up(
+def inferred_up(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
-    usual: Up | None,
+    hinted: Up | None,
     name: str,
     extent: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[Up, str]:
@@ -252,7 +252,7 @@ def settled_up(
         names: of the points.
         positions: of the points, in any unit and axes.
         visible: whether each is seen.
-        usual: what the file hints at or its format has by custom; None where nothing does.
+        hinted: what the file hints at or its format has by custom; None where nothing does.
         name: of the recording, for the message.
         extent: of a body along the axes, where the longest one tells if nothing else does.
 
@@ -263,49 +263,51 @@ def settled_up(
     rise = vectors.mean(0) if len(vectors) else None
     if rise is not None and abs(rise).max() < _MOSTLY * np.linalg.norm(vectors, axis=-1).mean():
         rise = None
-    elif rise is None and usual is None:
+    elif rise is None and hinted is None:
         rise = extent
     try:
-        up, reason = decide_up(rise, usual, name)
+        up, reason = decide_up(rise, hinted, name)
     except UnitsError:
         floor = None if rise is None else axis_of_floor(rise, positions, visible)
         if floor is None:
             raise
         return floor
-    if usual is None or usual == up or usual[0] != up[0]:
+    if hinted is None or hinted == up or hinted[0] != up[0]:
         return up, reason
-    hands, feet = (_height_range(one, positions, visible) for one in (usual, up))
+    hands, feet = (_height_range(one, positions, visible) for one in (hinted, up))
     if hands < _UPSIDE_DOWN * feet:
-        return usual, f"up axis {usual}: by the file's custom, the body is upside down"
+        return hinted, f"up axis {hinted}: by the file's custom, the body is upside down"
     return up, reason
 
 
-def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) -> tuple[Up, str]:
+def decide_up(
+    to_head: Float[np.ndarray, "3"] | None, hinted: Up | None, name: str
+) -> tuple[Up, str]:
     """Decide the up direction by the vector from feet to head; also return the reason.
 
     Args:
-        rise: mean vector from feet to head, in any unit; None when unknown.
-        usual: what the file hints at or its format has by custom; it decides where the body
+        to_head: mean vector from feet to head, in any unit; None when unknown.
+        hinted: what the file hints at or its format has by custom; it decides where the body
             does not (somebody lying down), and never against an upright body.
         name: of the recording, for the message.
 
     Raises:
         UnitsError: when neither tells.
     """
-    if rise is not None:
-        best, second = (int(k) for k in np.argsort(np.abs(rise))[:-3:-1])
-        found = signed_axis(best, rise[best])
-        if abs(rise[best]) >= 1.5 * abs(rise[second]):
-            against = f" (the file hints at {usual})" if usual not in (None, found) else ""
-            if rise[best] > 0:
+    if to_head is not None:
+        best, second = (int(k) for k in np.argsort(np.abs(to_head))[:-3:-1])
+        found = signed_axis(best, to_head[best])
+        if abs(to_head[best]) >= 1.5 * abs(to_head[second]):
+            against = f" (the file hints at {hinted})" if hinted not in (None, found) else ""
+            if to_head[best] > 0:
                 return found, f"up axis {found}: the head is above the feet{against}"
             axis = AXES[best]
             return found, f"up axis: {axis} points down, as the feet are farther along it{against}"
-        if usual is not None and rise @ to_z_up(usual)[2] >= 0.5 * abs(rise[best]):
-            return usual, f"up axis {usual}: by the file's custom, the body lies or bends"
-    elif usual is not None:
-        return usual, f"up axis {usual}: by the file's custom, no head and feet tell it"
-    described = "unknown" if rise is None else np.array2string(rise, precision=3)
+        if hinted is not None and to_head @ to_z_up(hinted)[2] >= 0.5 * abs(to_head[best]):
+            return hinted, f"up axis {hinted}: by the file's custom, the body lies or bends"
+    elif hinted is not None:
+        return hinted, f"up axis {hinted}: by the file's custom, no head and feet tell it"
+    described = "unknown" if to_head is None else np.array2string(to_head, precision=3)
     raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "
         f"give it with --up, one of {', '.join(get_args(Up))}"
@@ -318,7 +320,7 @@ def signed_axis(axis: int, sign: float) -> Up:
 
 
 def axis_of_floor(
-    rise: Float[np.ndarray, "3"],
+    to_head: Float[np.ndarray, "3"],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> tuple[Up, str] | None:
@@ -327,19 +329,19 @@ def axis_of_floor(
     Along it, the lowest moving point varies least over time. Returns None if that is not clear.
 
     Args:
-        rise: mean vector from feet to head.
+        to_head: mean vector from feet to head.
         positions: of the points, in any unit.
         visible: whether each is seen.
     """
-    size = float(np.abs(rise).max())
-    ways: list[Up] = [signed_axis(axis, rise[axis]) for axis in range(3)]
+    size = float(np.abs(to_head).max())
+    ways: list[Up] = [signed_axis(axis, to_head[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
     if shown.any(1).sum() < 2:
         return None
     moved = np.array([_height_range(way, positions, shown) for way in ways])
-    above = np.abs(rise) >= 0.5 * size
+    above = np.abs(to_head) >= 0.5 * size
     best = int(np.where(above, moved, np.inf).argmin())
     others = np.delete(moved, best)[np.delete(above, best)]
     if moved[best] > _STEADY * others.min(initial=np.inf):

@@ -63,7 +63,7 @@ class Hands(TensorStruct):
         """Return the finger rotations of frames start, ..., stop - 1."""
         return self.replace(rotations=self.rotations[..., start:stop, :, :, :])
 
-    def between(
+    def interpolated(
         self, before: Int[Tensor, " times"], after: Int[Tensor, " times"], fraction: Tensor
     ) -> "Hands":
         """Interpolate finger rotations between pairs of frames, along the shortest arcs."""

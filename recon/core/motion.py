@@ -121,7 +121,7 @@ class Motion(TensorStruct):
             valid=self.valid[..., before] & exists_after,
             fps=fps,
             start_time=float(times[0]) if len(times) > 0 else start,
-            hands=self.hands and self.hands.between(before, after, fraction),
+            hands=self.hands and self.hands.interpolated(before, after, fraction),
         )
 
     def carried(

@@ -71,7 +71,7 @@ def nearest_alike(
     kinds: Float[Tensor, "moments points kinds"],
     surface: Float[Tensor, "moments surface 3"],
     allowed: Bool[Tensor, "moments surface"],
-    of_surface: Float[Tensor, "surface kinds"],
+    surface_kinds: Float[Tensor, "surface kinds"],
 ) -> Int[Tensor, "moments points"]:
     """Index of the allowed surface point nearest in position and in kind; no gradient.
 
@@ -85,7 +85,7 @@ def nearest_alike(
         kinds: k_i.
         surface: places of the surface at every moment, metres.
         allowed: which of them may be seen.
-        of_surface: k_j.
+        surface_kinds: k_j.
     """
     allowed = allowed | ~allowed.any(-1, keepdim=True)
     found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
@@ -101,7 +101,7 @@ def nearest_alike(
         size = there.square().sum(-1, keepdim=True)
         size = size.masked_fill(~open_.gather(1, pick)[..., None], 1e9)
         left = torch.cat((-2 * here, torch.ones_like(here[..., :1]), kinds[some]), -1)
-        right = torch.cat((there, size, of_surface[pick]), -1)
+        right = torch.cat((there, size, surface_kinds[pick]), -1)
         best = (left @ right.mT).min(-1).indices  # min is several times as fast as argmin
         found[some] = pick.gather(1, best)
     return torch.where(present, found, 0)

@@ -186,11 +186,11 @@ def in_front_of_plane(
     normal: Float[np.ndarray, "3"],
     offset: float,
     eye: Float[np.ndarray, "3"],
-    least: float = 0.06,
+    min_distance: float = 0.06,
 ) -> Bool[np.ndarray, " points"]:
-    """Mask of points on the sensor's side of a plane, more than `least` metres away from it."""
+    """Mask of points on the sensor's side of a plane, more than `min_distance` metres away."""
     side = np.sign(normal @ eye - offset)
-    return side * (points @ normal - offset) > least
+    return side * (points @ normal - offset) > min_distance
 
 
 def _plane_width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
@@ -237,10 +237,10 @@ def _largest_plane(
 
 
 def above_ground(
-    points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
+    points: Float[np.ndarray, "points 3"], ground: Ground, min_height: float = 0.04
 ) -> Bool[np.ndarray, " points"]:
-    """Mask of points that are more than `least` metres above the ground."""
-    return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
+    """Mask of points that are more than `min_height` metres above the ground."""
+    return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > min_height
 
 
 def point_spacing(clouds: Sequence[np.ndarray]) -> float:
@@ -254,10 +254,10 @@ def point_spacing(clouds: Sequence[np.ndarray]) -> float:
     return float(np.median(np.concatenate(nearest))) if nearest else 0.0
 
 
-def clusters(
-    points: Float[np.ndarray, "points 3"], reach: float = 0.08
+def cluster_numbers(
+    points: Float[np.ndarray, "points 3"], max_gap: float = 0.08
 ) -> Int[np.ndarray, " points"]:
-    """Cluster number of each point; neighbours within `reach` metres are joined; 0 is the largest.
+    """Cluster number of each point; neighbours within `max_gap` metres join; 0 is the largest.
 
     Points are first gathered into cells of that size, so that any number of them is quick.
     """
@@ -267,7 +267,7 @@ def clusters(
 
     if len(points) == 0:
         return np.zeros(0, np.int64)
-    whole = np.floor(points / reach).astype(np.int64)
+    whole = np.floor(points / max_gap).astype(np.int64)
     cells, member = np.unique(whole, axis=0, return_inverse=True)
     member = member.reshape(-1)
     pairs: Int[np.ndarray, "pairs 2"] = KDTree(cells).query_pairs(1.8, output_type="ndarray")

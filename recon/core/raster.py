@@ -94,7 +94,7 @@ def vertex_normals(
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
-def tensor_normals(
+def differentiable_normals(
     vertices: Float[Tensor, "vertices 3"], faces: Tensor
 ) -> Float[Tensor, "vertices 3"]:
     """Unit normals of vertices, differentiable; a vertex of faces without area gets the y axis."""
@@ -108,7 +108,7 @@ def tensor_normals(
     return torch.where(length > 1e-12, total / length.clamp(min=1e-12), vertical)
 
 
-def faces_eye(
+def are_facing_eye(
     middles: Float[Tensor, "*batch discs 3"],
     normals: Float[Tensor, "*batch discs 3"],
     eye: Float[Tensor, "*batch 3"],

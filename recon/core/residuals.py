@@ -51,7 +51,7 @@ class Residuals(TensorStruct):
         """Length of every residual, in `unit`; zero where nothing was seen."""
         return self.values.norm(dim=-1)
 
-    def present(self) -> Float[Tensor, " samples"]:
+    def seen_distances(self) -> Float[Tensor, " samples"]:
         """Return the lengths of all residuals of seen points as a flat tensor."""
         return self.distances[self.seen]
 

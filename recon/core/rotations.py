@@ -115,13 +115,13 @@ def axis_sine(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"
     return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1) / 2
 
 
-def geodesic(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Tensor:
+def geodesic_angle(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Tensor:
     """Angle between two rotations, in radians: |b - a| = 2 √2 sin(angle / 2)."""
     sine = (b - a).norm(dim=(-2, -1)) * 0.5**1.5
     return 2 * sine.clamp(max=1.0).asin()
 
 
-def nearest(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
+def nearest_rotation(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
     """The rotation closest to a matrix in the Frobenius norm (Kabsch 1976, Schönemann 1966).
 
     From the singular value decomposition, in double precision; where that would be a reflection
@@ -158,7 +158,7 @@ def interpolate(
     return a @ exp(step * fraction[..., None])
 
 
-def between(
+def rotation_between(
     start: Float[Tensor, "*shape 3"], end: Float[Tensor, "*shape 3"]
 ) -> Float[Tensor, "*shape 3 3"]:
     """The smallest rotation that takes one direction to another; vectors of any length.
@@ -200,7 +200,7 @@ def inverse_rigid(T: Float[Tensor, "*shape 4 4"]) -> Float[Tensor, "*shape 4 4"]
     return rigid(back, -(back @ T[..., :3, 3:])[..., 0])
 
 
-def heading(root: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
+def undo_heading(root: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
     """Return the rotation A about z that turns the body's right side to +x (forward to +y).
 
     With (rx, ry) the normalised horizontal part of -root[:, 0], A = [[rx, ry, 0], [-ry, rx, 0],

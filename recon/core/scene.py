@@ -98,7 +98,7 @@ class UnknownLens(TensorStruct):
         """Ratio of the present focal length to the guessed one."""
         return (ZOOM * self.zoom).exp()
 
-    def of(self, camera: Camera) -> Camera:
+    def applied_to(self, camera: Camera) -> Camera:
         """The camera with this focal length, moved so that the person's image keeps its size."""
         factor = self.factor[..., None]
         back = (factor - 1) * self.distance[..., None]

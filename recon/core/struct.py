@@ -59,7 +59,7 @@ class TensorStruct:
             object.__setattr__(record, field.name, value)
         return record
 
-    def _settle(self, **fields: Any) -> None:
+    def _set_fields(self, **fields: Any) -> None:
         """Replace fields by their checked values; only for use in constructors."""
         for name, value in fields.items():
             object.__setattr__(self, name, value)

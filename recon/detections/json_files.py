@@ -98,7 +98,7 @@ def read_frames(
             raise FormatError(f"{place}: expected {_PRODUCERS[producer]}")
         rows += [(number, points, identity) for points, identity in people or []]
     if producer is _people_of_mediapipe:
-        rows, layout = _in_pixels(rows, image_size, name), layout or "mediapipe33"
+        rows, layout = _landmarks_in_pixels(rows, image_size, name), layout or "mediapipe33"
     return detections_of_rows(name, [number for number, _ in frames], rows, layout=layout)
 
 
@@ -128,56 +128,59 @@ def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None)
     return detections_of_rows(name, sorted(numbers), rows, layout=layout)
 
 
-def _people_of_openpose(entry: Any, place: str) -> People | None:
-    people = _listed_people(entry, place, "people", "pose_keypoints_2d", ("person_id",))
+def _people_of_openpose(entry: Any, source: str) -> People | None:
+    people = _listed_people(entry, source, "people", "pose_keypoints_2d", ("person_id",))
     return people and [
-        (_with_hands(points, [one.get(f"hand_{side}_keypoints_2d") for side in SIDES], place), who)
+        (
+            _with_hands(points, [one.get(f"hand_{side}_keypoints_2d") for side in SIDES], source),
+            who,
+        )
         for (points, who), one in zip(people, entry["people"], strict=True)
     ]
 
 
 def _with_hands(
-    body: Float[np.ndarray, "keypoints 3"], hands: list[Any], place: str
+    body: Float[np.ndarray, "keypoints 3"], hands: list[Any], source: str
 ) -> Float[np.ndarray, "more 3"]:
     """Append 21 keypoints of each hand to those of a body; a missing hand gives zeros.
 
     Raises:
         ValueError: when a hand has another number.
     """
-    found = [flat_points(one or [], place) for one in hands]
+    found = [flat_points(one or [], source) for one in hands]
     if len(body) == 0 or not any(map(len, found)):
         return body
     if any(len(one) not in (0, POINTS_OF_HAND) for one in found):
         raise FormatError(
-            f"{place}: expected {POINTS_OF_HAND} keypoints of a hand, got "
+            f"{source}: expected {POINTS_OF_HAND} keypoints of a hand, got "
             f"{' and '.join(str(len(one)) for one in found)}"
         )
     nothing = np.zeros((POINTS_OF_HAND, 3))
     return np.concatenate((body, *(one if len(one) else nothing for one in found)))
 
 
-def _people_of_easymocap(entry: Any, place: str) -> People | None:
+def _people_of_easymocap(entry: Any, source: str) -> People | None:
     """Read everybody's 2D keypoints in one frame of EasyMocap; None if it is no such frame."""
-    return _listed_people(entry, place, "annots", "keypoints", ("personID", "id"))
+    return _listed_people(entry, source, "annots", "keypoints", ("personID", "id"))
 
 
 def _listed_people(
-    entry: Any, place: str, key: str, keypoints_key: str, identity_keys: tuple[str, ...]
+    entry: Any, source: str, key: str, keypoints_key: str, identity_keys: tuple[str, ...]
 ) -> People | None:
     """Read a list of people under `key` whose keypoints are flat lists x, y, confidence, ..."""
     people = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(people, list):
         return None
     if not all(isinstance(one, dict) for one in people):
-        raise FormatError(f"{place}: expected a list of people, each a record, in {key}")
+        raise FormatError(f"{source}: expected a list of people, each a record, in {key}")
     numbers = [next((one[k] for k in identity_keys if k in one), None) for one in people]
     return [
-        (flat_points(one.get(keypoints_key) or [], place), as_identity(number, place))
+        (flat_points(one.get(keypoints_key) or [], source), as_identity(number, source))
         for one, number in zip(people, numbers, strict=True)
     ]
 
 
-def _people_of_mmpose(entry: Any, place: str) -> People | None:
+def _people_of_mmpose(entry: Any, source: str) -> People | None:
     """Read everybody's 2D keypoints in one frame of MMPose or rtmlib; None for other formats.
 
     Heatmap scores lie in [0, 1]; those of SimCC heads (RTMPose) are not normalised and clipped.
@@ -193,38 +196,38 @@ def _people_of_mmpose(entry: Any, place: str) -> People | None:
         key = next((key for key in _SCORES if isinstance(person, dict) and key in person), None)
         if key is None or "keypoints" not in person:
             return None
-        scores, pixels = as_floats(person[key], place), as_floats(person["keypoints"], place)
+        scores, pixels = as_floats(person[key], source), as_floats(person["keypoints"], source)
         if scores.size == 0:
             continue
         if pixels.ndim < 2 or pixels.shape[:-1] != scores.shape or pixels.shape[-1] != 2:
             raise FormatError(
-                f"{place}: expected keypoints (..., K, 2) with scores (..., K), got "
+                f"{source}: expected keypoints (..., K, 2) with scores (..., K), got "
                 f"{pixels.shape} and {scores.shape}"
             )
-        identity = as_identity(person.get("track_id", person.get("instance_id")), place)
+        identity = as_identity(person.get("track_id", person.get("instance_id")), source)
         points = np.concatenate((pixels, scores[..., None]), -1)
         single = points.reshape(-1, *points.shape[-2:])
         people += [(one, identity if len(single) == 1 else -1) for one in single]
     return people
 
 
-def _people_of_mediapipe(entry: Any, place: str) -> People | None:
+def _people_of_mediapipe(entry: Any, source: str) -> People | None:
     """Read everybody's landmarks in one frame of MediaPipe; None for other formats."""
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None
-    found = [landmarks(person, "xy", place) for person in people]
+    found = [landmarks(person, "xy", source) for person in people]
     hands = [people_of_landmarks(entry, keys) for keys in _HAND_KEYS if isinstance(entry, dict)]
     if len(found) == 1 and any(hands):
-        rows = [_flat_hand(one[0], place) if one else [] for one in hands]
-        found = [_with_hands(found[0], rows, place)]
+        rows = [_flat_hand(one[0], source) if one else [] for one in hands]
+        found = [_with_hands(found[0], rows, source)]
     return [(points, -1) for points in found]
 
 
-def _flat_hand(hand: list[Any], place: str) -> list[Any]:
+def _flat_hand(hand: list[Any], source: str) -> list[Any]:
     """Flatten MediaPipe's hand landmarks to a list x, y, 1 (the confidence), x, y, 1, ..."""
     if not _has_axes(hand, "xy"):
-        raise FormatError(f"{place}: expected landmarks of a hand with x and y")
+        raise FormatError(f"{source}: expected landmarks of a hand with x and y")
     return [number for one in hand for number in (one["x"], one["y"], 1.0)]
 
 
@@ -240,7 +243,7 @@ def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | 
     return [person for person in entry if isinstance(person, list) and len(person) > 0]
 
 
-def landmarks(person: list[Any], axes: str, place: str) -> Float[np.ndarray, "33 numbers"]:
+def landmarks(person: list[Any], axes: str, source: str) -> Float[np.ndarray, "33 numbers"]:
     """Convert one person's 33 landmark records of MediaPipe to rows of axes and visibility.
 
     Raises:
@@ -248,17 +251,19 @@ def landmarks(person: list[Any], axes: str, place: str) -> Float[np.ndarray, "33
     """
     if len(person) != LANDMARKS or not _has_axes(person, axes):
         raise FormatError(
-            f"{place}: expected {LANDMARKS} landmarks with {', '.join(axes)} and visibility"
+            f"{source}: expected {LANDMARKS} landmarks with {', '.join(axes)} and visibility"
         )
     rows = [[*(one[axis] for axis in axes), one.get("visibility", 1.0)] for one in person]
-    return as_floats(rows, place)
+    return as_floats(rows, source)
 
 
 def _has_axes(person: list[Any], axes: str) -> bool:
     return all(isinstance(one, dict) and set(axes) <= one.keys() for one in person)
 
 
-def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -> list[Row]:
+def _landmarks_in_pixels(
+    rows: list[Row], image_size: tuple[int, int] | None, name: str
+) -> list[Row]:
     """Convert landmarks from fractions of the image to pixels, if they are no pixels yet."""
     places = [np.abs(points[:LANDMARKS, :2]) for _, points, _ in rows]
     if not rows or np.median(np.nan_to_num(places)) > _FRACTION:

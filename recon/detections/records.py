@@ -44,7 +44,7 @@ _AGREEMENT = 0.8
 """Share of the people that must agree."""
 
 
-def settle_layout(
+def recognised_layout(
     points: Float[np.ndarray, "rows points 3"], layout: str | None, name: str
 ) -> tuple[str, Float[np.ndarray, "rows known 3"], str]:
     """Tell the layout of keypoints; return its name, keypoints in its order, and a note.
@@ -61,7 +61,7 @@ def settle_layout(
     if layout is not None:
         points = points[:, : _BODY_PART.get((layout, count), count)]
         if layout == "openpose25" and count == len(_COCO18):
-            return layout, _from_coco18(points), f"layout {layout}: given, 18 of its keypoints"
+            return (layout, _from_coco18(points), f"layout {layout}: given, 18 of its keypoints")
         if len(keypoint_names(layout)) != points.shape[1]:
             raise FormatError(
                 f"{name}: layout {layout} has {len(keypoint_names(layout))} keypoints, the file "
@@ -69,9 +69,9 @@ def settle_layout(
             )
         return layout, points, f"layout {layout}: given"
     if count == len(_COCO18):
-        return "openpose25", _from_coco18(points), "layout openpose25: 18 keypoints, COCO model"
+        return ("openpose25", _from_coco18(points), "layout openpose25: 18 keypoints, COCO model")
     if count == len(LAYOUTS["openpose25"]):
-        chosen = _openpose_model(points, name)
+        chosen = _openpose_layout(points, name)
         return chosen, points, f"layout {chosen}: 25 keypoints, arms and legs are whole only so"
     if count not in _BY_COUNT:
         raise FormatError(
@@ -89,7 +89,7 @@ def _from_coco18(points: np.ndarray) -> np.ndarray:
     return out
 
 
-def _openpose_model(points: np.ndarray, name: str) -> str:
+def _openpose_layout(points: np.ndarray, name: str) -> str:
     first, second = "openpose25", "openpose25b"
     ratio = _bone_length(points, first) / _bone_length(points, second)
     ratio = ratio[np.isfinite(ratio)]
@@ -215,7 +215,7 @@ def detections_of_rows(
         hands = points[:, first : first + _HANDS]
         hands = hands if (hands[..., 2] > 0).any() else None
         points = points if count in _BY_COUNT else points[:, :first]
-    chosen, points, decision = settle_layout(points, layout, name)
+    chosen, points, decision = recognised_layout(points, layout, name)
     if hands is not None:
         decisions += (f"{_HANDS} points of hands, which fingers are fitted to",)
     return Detections(

@@ -79,7 +79,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     frames = [int(number[1]) if number else line for line, number in enumerate(found)]
     if sorted(set(frames)) != frames:
         raise FormatError(f"{name}: expected increasing frame numbers in the first column")
-    chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
+    chosen, unknown = layout_of_parts(list(dict.fromkeys(parts)), layout, name)
     places = {plain_part_name(part): part for part in parts}
     kinds = [coordinate.lower() for coordinate in header["coords"]]
     triples = list(zip(individuals, parts, kinds, strict=False))
@@ -111,7 +111,7 @@ def plain_part_name(part: str) -> str:
     return "_".join(side + [word for word in words if word not in side])
 
 
-def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
+def layout_of_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
     """Return the layout that matches most of these part names, and the unmatched names."""
     words = {plain_part_name(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}
@@ -145,7 +145,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
     SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)
-    chosen, unknown = settle_parts(nodes, layout, name)
+    chosen, unknown = layout_of_parts(nodes, layout, name)
     places = {keypoint: k for k, keypoint in enumerate(keypoint_names(chosen))}
     points = np.zeros((len(rows), len(places), 3))
     for node in nodes:
@@ -203,7 +203,7 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         )
     FRAMES.check(len(values), path.name)
     PEOPLE.check(values.shape[1], path.name, "people")
-    numbers, identity = _numbers_of_rows(arrays, values.shape[:2], path)
+    numbers, identity = _frame_and_person_numbers(arrays, values.shape[:2], path)
     there = np.asarray(np.isfinite(values).all(-1).any(-1) & (values[..., 2] > 0).any(-1))
     rows: list[Row] = [
         (int(numbers[frame]), values[frame, person], int(identity[frame, person]))
@@ -218,17 +218,17 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     cut = shots.dtype.kind in "iu" and (np.diff(shots) > 0).all()
     return replace(
         found,
-        frame_rate=_one_number(arrays, "frame_rate", FRAME_RATE),
-        stated_focal=_one_number(arrays, "stated_focal", FILM_FOCAL_LENGTH),
+        frame_rate=_number_within(arrays, "frame_rate", FRAME_RATE),
+        stated_focal=_number_within(arrays, "stated_focal", FILM_FOCAL_LENGTH),
         image_size=(int(size[0]), int(size[1])) if sized else None,
         shots=tuple(shots.tolist()) if cut else (),
-        hands=found.hands if "hands" not in arrays else _hands(arrays, there, path),
+        hands=found.hands if "hands" not in arrays else _hand_keypoints(arrays, there, path),
         **_straight_lines(arrays, path),
-        background=_background(arrays, path),
+        background=_background_points(arrays, path),
     )
 
 
-def _one_number(
+def _number_within(
     arrays: Mapping[str, Shaped[np.ndarray, "..."]], key: str, within: Limit
 ) -> float | None:
     """Return a number from a file's arrays; None if it is absent or outside its limits."""
@@ -237,7 +237,7 @@ def _one_number(
     return float(value[0]) if sound else None
 
 
-def _hands(
+def _hand_keypoints(
     arrays: dict[str, Shaped[np.ndarray, "..."]],
     kept: Bool[np.ndarray, "frames people"],
     path: Path,
@@ -257,7 +257,9 @@ def _hands(
     return hands
 
 
-def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Background | None:
+def _background_points(
+    arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path
+) -> Background | None:
     """Return the tracked background points in a file's arrays; None if it has none.
 
     Raises:
@@ -299,7 +301,7 @@ def _straight_lines(
     return {"lines": lines.astype(np.float64), "lines_frame": frame}
 
 
-def _numbers_of_rows(
+def _frame_and_person_numbers(
     arrays: dict[str, Shaped[np.ndarray, "..."]], shape: tuple[int, int], path: Path
 ) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, "frames people"]]:
     """Return a file's frame numbers, and its person numbers by frame (-1 for no number).

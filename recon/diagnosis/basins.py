@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
 from recon.core.camera import Camera
-from recon.core.raster import faces_eye
+from recon.core.raster import are_facing_eye
 from recon.diagnosis.findings import Finding
 from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
@@ -147,7 +147,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
     for moment in full[:: max(math.ceil(len(full) / _MAX_FRAMES), 1)]:
         camera, row = cloud.camera.at(range(moment, moment + 1)), moment - seen.start
         eye = camera.T_world_camera[0, 0, :3, 3]
-        shown = faces_eye(middles[0, row], normals[0, row], eye) & _in_image(
+        shown = are_facing_eye(middles[0, row], normals[0, row], eye) & _in_image(
             camera, middles[0, row]
         )
         if not bool(shown.any()):

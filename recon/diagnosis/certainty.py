@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.body.angles import isb_slopes
+from recon.body.angles import isb_angle_derivatives
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -37,14 +37,14 @@ MOST = 360 / 12**0.5
 """Standard deviation (degrees) of an angle that may have any value: uniform over the circle."""
 
 
-def angle_slopes(body: BodyModel) -> Measure | None:
+def isb_derivatives(body: BodyModel) -> Measure | None:
     """Return a function for derivatives of ISB angles by rotations; None for other bodies."""
 
-    def slopes(motion: Motion) -> Float[Tensor, "time angles 66"]:
-        return torch.from_numpy(isb_slopes(motion, body)).to(motion.translation)
+    def derivatives(motion: Motion) -> Float[Tensor, "time angles 66"]:
+        return torch.from_numpy(isb_angle_derivatives(motion, body)).to(motion.translation)
 
     # landmarks are only defined on the bundled body
-    return slopes if body.checksum == BodyModel.load().checksum else None
+    return derivatives if body.checksum == BodyModel.load().checksum else None
 
 
 _WEIGHT_OF_UNIT: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
@@ -85,7 +85,7 @@ def certainty(found: ClipFit) -> Deviations | None:
         try:
             body = estimate.body.model.to(dtype=torch.float64)
             known = deviations(
-                estimate, seen, noises, density, _ground_uncertainty(found), angle_slopes(body)
+                estimate, seen, noises, density, _ground_uncertainty(found), isb_derivatives(body)
             )
         except (ArithmeticError, RuntimeError):  # the Hessian is singular
             return None
@@ -252,7 +252,7 @@ def _mean_joint_distance(
 
 def _heading_difference(one: Motion, other: Motion) -> float:
     """Return the mean angle (0 to pi) about the vertical between the headings of two motions."""
-    between = so3.heading(one.rotations[:, 0]).mT @ so3.heading(other.rotations[:, 0])
+    between = so3.undo_heading(one.rotations[:, 0]).mT @ so3.undo_heading(other.rotations[:, 0])
     mean = between[one.valid].mean(0)
     return abs(math.atan2(float(mean[1, 0] - mean[0, 1]), float(mean[0, 0] + mean[1, 1])))
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.limits import FEW_MOMENTS
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.examination import (
@@ -246,7 +246,7 @@ def body_findings(found: ClipFit) -> Findings:
         )
         said += Findings(warnings=(Finding("body size", text, value=odd),))
     if found.ground_known:
-        soles = float(sole_heights(found.result.motion, posed.model).median())
+        soles = float(ground_heights(found.result.motion, posed.model).median())
         if abs(soles) > _MAX_SOLE_HEIGHT_M:
             text = (
                 f"the soles stand at {soles:.2f} m, but the ground is at 0; check {sizes}, unless "

@@ -149,9 +149,9 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     seen = torch.from_numpy(np.any(shown, axis=1)[moments.clip(max=len(shown) - 1)])
     clip = motion[0].detach()
     stance = Stance.of(clip, body, Soles.of(body), frames=seen)
-    if stance.frames < _MIN_STANCE_S * motion.fps:
+    if stance.standing_frames < _MIN_STANCE_S * motion.fps:
         return 0.0
-    height = stance.height()
+    height = stance.ground_height()
     lowest = np.quantile(points.positions[:, feet, 2][shown], _LOWEST_QUANTILE)
     low, high = _SOLE_RANGE_JOINTS_M if points.are_joints else _SOLE_RANGE_MARKERS_M
     noise *= _SOLE_RANGE_STDS

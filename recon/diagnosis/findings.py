@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from jaxtyping import Bool
 
-from recon.core.arrays import runs
+from recon.core.arrays import runs_of_true
 
 Data = TypeVar("Data")
 
@@ -121,7 +121,7 @@ def stretches(
     flags: Bool[np.ndarray, " frames"], least: float | int = 1
 ) -> tuple[tuple[int, int], ...]:
     """Return first and last index of every run of at least `least` true values."""
-    return tuple((first, stop - 1) for first, stop in runs(flags) if stop - first >= least)
+    return tuple((first, stop - 1) for first, stop in runs_of_true(flags) if stop - first >= least)
 
 
 def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:

@@ -326,4 +326,6 @@ def _rotations(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[Tensor, "nodes
     parts = torch.from_numpy(matrices[:, :3, :3].copy())
     sizes = parts.norm(dim=-2, keepdim=True)
     some = (sizes > 0).all(-1, keepdim=True)
-    return so3.nearest(torch.where(some, parts / sizes.clamp(min=1e-300), torch.eye(3).to(parts)))
+    return so3.nearest_rotation(
+        torch.where(some, parts / sizes.clamp(min=1e-300), torch.eye(3).to(parts))
+    )

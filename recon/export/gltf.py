@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
-from recon.core.raster import tensor_normals
+from recon.core.raster import differentiable_normals
 from recon.core.units import to_z_up
 from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
@@ -136,7 +136,7 @@ class _Buffer:
     ) -> Any:
         """Append the body at rest with its skinning weights as a mesh."""
         weights, joints = influences(skeleton.weights, INFLUENCES)
-        normals = _array(tensor_normals(vertices.double(), body.faces))
+        normals = _array(differentiable_normals(vertices.double(), body.faces))
         attributes = gltf.Attributes(
             POSITION=self.add(_array(vertices), gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
             NORMAL=self.add(normals, gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),

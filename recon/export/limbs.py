@@ -9,7 +9,7 @@ from torch import Tensor
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import runs
+from recon.core.arrays import runs_of_true
 from recon.core.fingers import SIDES
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
@@ -174,12 +174,12 @@ class Limb:
             turn = posed[self.chain[0]][:, :3, :3] @ self.rig.rest[self.chain[0]].mT
             side = side + _BENT * (a + b)[:, None] * turn[..., 2]
         side = _unit(side - (side * was).sum(-1, keepdim=True) * was)
-        side = (so3.between(was, way) @ side[..., None])[..., 0]
+        side = (so3.rotation_between(was, way) @ side[..., None])[..., 0]
         along = (a.square() + far.square() - b.square()) / (2 * far)
         out = (a.square() - along.square()).clamp(min=0.0).sqrt()
         bend = top + along[:, None] * way + out[:, None] * side
-        first = so3.between(middle - top, bend - top)
-        second = so3.between(last - middle, top + far[:, None] * way - bend)
+        first = so3.rotation_between(middle - top, bend - top)
+        second = so3.rotation_between(last - middle, top + far[:, None] * way - bend)
         return {self.chain[0]: first, self.chain[1]: second}
 
 
@@ -211,7 +211,7 @@ def _runs_with_slow_frame(
 ) -> Bool[Tensor, " time"]:
     """Keep the runs of true `near` in which `slow` is true at least once."""
     kept = torch.zeros_like(near)
-    for first, stop in runs(near.numpy()):
+    for first, stop in runs_of_true(near.numpy()):
         kept[first:stop] = bool(slow[first:stop].any())
     return kept
 
@@ -225,7 +225,7 @@ def _shifts_while_standing(
     with `fades` they go to zero there.
     """
     found, frames = steps.new_zeros(len(stands), 2), len(stands)
-    stretches = runs(stands.numpy())
+    stretches = runs_of_true(stands.numpy())
     for first, stop in stretches:
         path = torch.nn.functional.pad(steps[first : stop - 1], (0, 0, 1, 0)).cumsum(0)
         found[first:stop] = path - path.mean(0)

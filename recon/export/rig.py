@@ -135,7 +135,7 @@ def _to_rest_pose(
 
     def turned(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
         theirs = places[nodes[end]] - places[nodes[start]]
-        return so3.between(before @ theirs, way) @ before
+        return so3.rotation_between(before @ theirs, way) @ before
 
     for side in SIDES:
         for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):

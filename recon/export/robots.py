@@ -120,7 +120,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
         local, place = carried_rotations(exact, own, theirs, rest)
         moved = exact.replace(rotations=local, translation=place, shape=rest.shape)
         moved = moved.to(dtype=motion.translation.dtype)
-    height = Stance.of(moved, target, Soles.of(target)).height()
+    height = Stance.of(moved, target, Soles.of(target)).ground_height()
     down = moved.translation.new_tensor([0.0, 0.0, height])
     return moved.replace(translation=moved.translation - down)
 

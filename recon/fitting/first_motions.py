@@ -12,7 +12,7 @@ from observations.camera_paths import with_path_in_metres
 from observations.keypoints2d import Keypoints2D
 from observations.noise import NORMAL_MEDIAN
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -88,7 +88,7 @@ def scaled_onto_ground(motion: Motion, view: Keypoints2D, body: BodyModel) -> Mo
     What a camera sees does not change when everything is scaled about its centre.
     """
     eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
-    factor = eye[:, 2] / (eye[:, 2] - sole_heights(motion, body))
+    factor = eye[:, 2] / (eye[:, 2] - ground_heights(motion, body))
     factor = torch.where((factor > 1 / _MAX_FACTOR) & (factor < _MAX_FACTOR), factor, 1.0)
     pelvis = body.rest_joints(motion.shape)[:, 0]
     place = motion.translation + (pelvis - eye)[:, None]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import TILT, UnknownGround
@@ -41,13 +41,13 @@ def ground_by_posture(motion: Motion, body: BodyModel) -> UnknownGround:
     axis = torch.stack((up[..., 1], -up[..., 0]), -1) / sine.clamp(min=1e-9)
     ground = UnknownGround.create(pivot).replace(tilt=axis * angle / TILT)
     level = motion.carried(ground.T_world_recording, body.rest_joints(motion.shape)[..., 0, :])
-    return ground.replace(lift=-sole_heights(level, body))
+    return ground.replace(lift=-ground_heights(level, body))
 
 
 def ground_by_feet(motion: Motion, body: BodyModel) -> UnknownGround:
     """Guess the height of the ground in a recording whose z axis is known to be up."""
     ground = UnknownGround.create(point_below_pelvis(motion, body))
-    return ground.replace(lift=-sole_heights(motion, body))
+    return ground.replace(lift=-ground_heights(motion, body))
 
 
 def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:

@@ -155,9 +155,9 @@ def _common_turn(
         share = (seen / seen.sum(-1, keepdim=True))[..., None]
         a, b = flat - (share * flat).sum(-2, keepdim=True), points - (share * points).sum(-2, True)
         matched = (share * b).mT @ a
-        turn = so3.nearest(matched + 1e-9 * wrist[there])
+        turn = so3.nearest_rotation(matched + 1e-9 * wrist[there])
         total = total + (wrist[there].mT @ turn).sum(0)
-    return so3.nearest(total)
+    return so3.nearest_rotation(total)
 
 
 @dataclass(frozen=True)

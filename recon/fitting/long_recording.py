@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.points import quadratic_model
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import squared
@@ -69,12 +69,12 @@ class OverlapEnergy(TensorStruct):
         rate = REFERENCE_FPS / self.fps
         return quadratic_model(points, self.joints, weights, squared, rate)
 
-    def carried(
+    def points_on_bones(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
-    ) -> CarriedPoints:
+    ) -> BonePoints:
         """Describe the joints as points attached to a body of a given shape."""
         del offsets
-        return CarriedPoints.joints(body, shape)
+        return BonePoints.of_joints(body, shape)
 
 
 @dataclass(frozen=True)

@@ -157,13 +157,17 @@ def on_ground(
         stance = Stance.of(motion, body, soles, belt, placed)
         tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
         notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")
-    shift = 0.0 if unseen else stance.height()
+    shift = 0.0 if unseen else stance.ground_height()
     down = motion.translation.new_tensor([0.0, 0.0, shift])
     motion = motion.replace(translation=motion.translation - down)
     joints = body.pose(motion).joints
     contacts = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
     contacts = contacts if observed is None else contacts & observed
-    seen = f"in {stance.frames} frames of stance" if stance.frames > 0 else "in all frames"
+    seen = (
+        f"in {stance.standing_frames} frames of stance"
+        if stance.standing_frames > 0
+        else "in all frames"
+    )
     if unseen:
         notes.append("no foot is ever observed: the height of the recording was kept")
     elif not keep_frame:
@@ -195,7 +199,7 @@ def on_ground(
             "residual_max_mm": float(np.max(values)),
             "ground_shift_m": 0.0 if keep_frame else shift,
             "tilt_degrees": 0.0 if keep_frame else round(tilt, 2),
-            "stance_frames": stance.frames,
+            "stance_frames": stance.standing_frames,
             "n_glitch": n_glitch,
             "slip_mps": slip_speed(joints, contacts, motion.fps),
         },

@@ -148,12 +148,14 @@ def alignments_from_rest(
     shared = sorted(set(theirs) - set(FEET))
     a = torch.stack([ours[j] for j in shared])
     b = torch.stack([theirs[j] for j in shared])
-    turn = so3.nearest((b - b.mean(0)).mT @ (a - a.mean(0)))
+    turn = so3.nearest_rotation((b - b.mean(0)).mT @ (a - a.mean(0)))
     swings: dict[int, Tensor] = {}
     for joint, child in _CHILD.items():
         if joint not in theirs or child not in theirs:
             return None
-        swing = so3.between(turn @ (ours[child] - ours[joint]), theirs[child] - theirs[joint])
+        swing = so3.rotation_between(
+            turn @ (ours[child] - ours[joint]), theirs[child] - theirs[joint]
+        )
         if float(torch.rad2deg(so3.log(swing).norm())) > _WORST_BONE:
             return None
         swings[joint] = swing

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from priors.pose.prior import PoseDensity, PosePrior
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.levers import (
     COORDINATES,
     Levers,
@@ -101,7 +101,7 @@ class SkinPoints(TensorStruct):
     Pose blend shapes (`correctives`) are left out of the second derivatives.
     """
 
-    carried: CarriedPoints
+    carried: BonePoints
     levers: Levers
     correctives: PoseBlendShapes | None
 
@@ -116,7 +116,7 @@ class SkinPoints(TensorStruct):
         """Return points at vertices plus offsets (m) in the frames of the vertices' main bones."""
         eye = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(eye), body.weights.shape[-1])
-        carried = CarriedPoints.create(body, shape, none, eye, vertices)
+        carried = BonePoints.create(body, shape, none, eye, vertices)
         if offsets is not None:
             place = carried.place.clone()
             place[torch.arange(len(eye)), body.weights[vertices].argmax(-1)] += offsets
@@ -125,7 +125,7 @@ class SkinPoints(TensorStruct):
 
     def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
         """Return the positions of the points in given poses; world, metres."""
-        places = self.levers.places(poses.bones)
+        places = self.levers.positions(poses.bones)
         return (
             places if self.correctives is None else places + self.correctives.displacements(poses)
         )

@@ -22,7 +22,7 @@ from recon.body.marker_labels import (
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.hands import right_handed_signs
-from recon.core.raster import tensor_normals
+from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
@@ -290,4 +290,4 @@ def _parts_without_markers(
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
     """Return offsets (m) of markers' centres from the skin, along the normals of the rest body."""
-    return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]
+    return STANDOFF * differentiable_normals(body.template, body.faces)[list(vertices)]

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from recon.body.model import BodyModel
-from recon.core.arrays import usable_rate
+from recon.core.arrays import usable_frame_rate
 from recon.core.units import Hand, Up
 from recon.formats.producers import refuse_others
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
@@ -47,7 +47,7 @@ def convert(
             markers are not known or do not cover the body, or the rate is not positive.
     """
     if fps is not None:
-        usable_rate(fps, "fps")
+        usable_frame_rate(fps, "fps")
     if isinstance(recording, (str, Path)):
         refuse_others(Path(recording), "convert")
         recording = read_recording(recording, unit=unit, up=up)

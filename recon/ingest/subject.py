@@ -239,7 +239,7 @@ def _mean_alignments(
 ) -> Float[Tensor, "bones 3 3"]:
     """Return the mean over frames (chordal) of the rotations from recorded to model bones."""
     between = frames.orientations.transpose(-1, -2) @ ours[:, list(skeleton.bones)]
-    return so3.nearest(between.double().mean(0)).to(ours)
+    return so3.nearest_rotation(between.double().mean(0)).to(ours)
 
 
 def _diverse_frames(

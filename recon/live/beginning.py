@@ -12,7 +12,7 @@ from observations.moments import Tracker, append_frames
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.api.preview import likeliest_motion, loaded_look, with_shape
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
@@ -90,8 +90,8 @@ def first_window(
         density=poses.density,
         weights=PoseWeights.for_noise(metres) if steps is None else steps.poses,
         scales=tuple(weights_of(noises)),
-        points=tuple(one.on_bones_with_offsets(body, shape, offsets) for one in trackers),
-        joints=CarriedPoints.joints(body, shape),
+        points=tuple(one.points_on_bones(body, shape, offsets) for one in trackers),
+        joints=BonePoints.of_joints(body, shape),
         shape=shape,
         rest=body.rest_joints(shape),
         fps=seen[0].fps,

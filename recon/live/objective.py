@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 
 from observations.moments import Tracker
 from priors.pose.prior import PoseDensity, PoseWeights
-from recon.body.derivatives import CarriedPoints, right_jacobian
+from recon.body.derivatives import BonePoints, right_jacobian
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -142,9 +142,9 @@ class Objective:
     weights: PoseWeights
     scales: tuple[float, ...]
     """Weight of every sensor's energy."""
-    points: tuple[CarriedPoints, ...]
+    points: tuple[BonePoints, ...]
     """The points of every sensor."""
-    joints: CarriedPoints
+    joints: BonePoints
     shape: Float[Tensor, " shape"]
     rest: Float[Tensor, "22 3"]
     """Joints of the unposed body of this shape, metres."""
@@ -183,7 +183,7 @@ class Objective:
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
-            places = points.of(orientations[held:], joints[held:])
+            places = points.positions(orientations[held:], joints[held:])
             total = total + scale * sensor.energy(places)
         if self.steps is not None:
             motion = self.motion(window, rotations)
@@ -211,7 +211,7 @@ class Objective:
         corner = pose.new_zeros(active, count, count)
         gradient_shape = pose.new_zeros(active, count)
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
-            model = sensor.point_model(points.of(*own))
+            model = sensor.point_model(points.positions(*own))
             jacobian = _by_variables(points.jacobian_by_rotations(*own), turns)
             pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
             columns = jacobian.flatten(1, 2)

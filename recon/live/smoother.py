@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.moments import Tracker, append_frames, frames_between
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
 from recon.solver.banded import Banded, Factor
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
@@ -197,8 +197,8 @@ def objective_of_shape(
     body = objective.body
     return replace(
         objective,
-        points=tuple(one.on_bones_with_offsets(body, shape, objective.offsets) for one in seen),
-        joints=CarriedPoints.joints(body, shape),
+        points=tuple(one.points_on_bones(body, shape, objective.offsets) for one in seen),
+        joints=BonePoints.of_joints(body, shape),
         shape=shape,
         rest=body.rest_joints(shape),
     )

@@ -241,7 +241,7 @@ class Tracking(TrackedPerson):
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):
-            away = one.distances(points.of(orientations, joints))
+            away = one.distances(points.positions(orientations, joints))
             bad = one.shown & ((away > allowed) | points_coincide(one))
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -194,12 +194,12 @@ class Neighbourhood:
     @cached_property
     def jacobian(self) -> Float[Tensor, "time 66 columns"]:
         """Jacobian of the joints in the world, metres."""
-        carried = CarriedPoints.joints(self.body, self.motion.shape[0])
+        carried = BonePoints.of_joints(self.body, self.motion.shape[0])
         moved = self._by_motion(carried)
         none = moved.new_zeros(*moved.shape[:-1], self.ground_coordinates)
         return torch.cat((moved, none), -1).flatten(1, 2)
 
-    def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
+    def _by_motion(self, points: BonePoints) -> Float[Tensor, "time points 3 motion"]:
         """Return the Jacobian of points by the 69 coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
@@ -229,7 +229,7 @@ class Neighbourhood:
             sensor: the sensor.
             frame: number of the motion's frame for every frame of the sensor.
         """
-        carries, points_of = is_pointwise(sensor), getattr(sensor, "on_bones_with_offsets", None)
+        carries, points_of = is_pointwise(sensor), getattr(sensor, "points_on_bones", None)
         held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
         estimates = self.translated if carries else self.perturbed_columns
         rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)

@@ -101,8 +101,8 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     one: Any = sensor[clip]
     if hasattr(one, "with_constants_of"):
         one = one.with_constants_of(scene[clip])
-    carried = sensor.on_bones_with_offsets(model.body, motion.shape, scene.offsets[clip])
-    places = carried.of(*model.posed)
+    carried = sensor.points_on_bones(model.body, motion.shape, scene.offsets[clip])
+    places = carried.positions(*model.posed)
     if scene.ground is not None:
         places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
     before, share, seen, on_frames = _neighbouring_frames(

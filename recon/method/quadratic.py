@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.derivatives import CarriedPoints, joints_by_shape
+from recon.body.derivatives import BonePoints, joints_by_shape
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core.motion import Motion
 from recon.method.protocols import Estimate
@@ -78,12 +78,12 @@ class ClipModel:
 
     def hessian(self) -> Banded:
         """Return the sum of all added parts of the Hessian; to be called once."""
-        moved, shaped = self.jacobians_by_steps(CarriedPoints.joints(self.body, self.motion.shape))
+        moved, shaped = self.jacobians_by_steps(BonePoints.of_joints(self.body, self.motion.shape))
         self.part.add_products(self.joints, moved.flatten(1, 2), shaped.flatten(1, 2))
         return self.part
 
     def jacobians_by_steps(
-        self, points: CarriedPoints
+        self, points: BonePoints
     ) -> tuple[Float[Tensor, "time points 3 69"], Float[Tensor, "time points 3 shape"]]:
         """Return derivatives of points (metres) by the steps of their frame, and by the shape."""
         orientations, joints = self.posed

@@ -59,7 +59,7 @@ def similarity_aligned(
     centre, goal = some.mean(-2, keepdim=True), wanted.mean(-2, keepdim=True)
     x, y = some - centre, wanted - goal
     covariance = y.mT @ x
-    rotation = so3.nearest(covariance)
+    rotation = so3.nearest_rotation(covariance)
     spread = x.square().sum((-2, -1))
     length = (rotation * covariance).sum((-2, -1))
     scale = torch.where(spread > 0, length / torch.where(spread > 0, spread, 1.0), 1.0)

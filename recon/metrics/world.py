@@ -65,7 +65,7 @@ def root_translation_error(
     if not length > 0:
         return None
     x, y = predicted - predicted.mean(0), truth - truth.mean(0)
-    turn = so3.nearest(y.mT @ x)
+    turn = so3.nearest_rotation(y.mT @ x)
     return float(point_errors(x @ turn.mT, y).mean() / length)
 
 

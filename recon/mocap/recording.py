@@ -167,7 +167,7 @@ def settle_skeleton(
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
     up_reason = f"up axis {up}: given"
     if up is None:
-        up, up_reason = told.settled_up(raw.joint_names, raw.positions, visible, "y", raw.name)
+        up, up_reason = told.inferred_up(raw.joint_names, raw.positions, visible, "y", raw.name)
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
     limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
@@ -216,7 +216,7 @@ def settle_markers(
     )
     up_reason = f"up axis {up}: given"
     if up is None:
-        up, up_reason = told.settled_up(
+        up, up_reason = told.inferred_up(
             raw.marker_names, positions, visible, usual_up, raw.name, extent
         )
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])

@@ -15,7 +15,7 @@ from recon.body.identities import body_weight
 from recon.body.model import BodyModel
 from recon.body.parts import GRAVITY, vertex_masses_of_segments
 from recon.body.soles import Soles
-from recon.core.arrays import runs
+from recon.core.arrays import runs_of_true
 from recon.core.errors import ReconError
 from recon.core.limits import Limit
 from recon.core.motion import MotionFile
@@ -239,7 +239,7 @@ def _smoothed_within_stances(
 
     found = centre.numpy().copy()
     for side in range(2):
-        for first, stop in runs(contact[:, side].numpy()):
+        for first, stop in runs_of_true(contact[:, side].numpy()):
             stance = found[first:stop, side]
             found[first:stop, side] = gaussian_filter1d(stance, SMOOTH_S * fps, axis=0)
     return torch.from_numpy(found)
@@ -258,7 +258,7 @@ def _force_std(
     found[..., :2], found[..., 2] = across[0], VERTICAL_STD
     found = found * contact[..., None]
     margin = round(STEP_S * fps)
-    for first, stop in runs(contact.all(-1).numpy()):
+    for first, stop in runs_of_true(contact.all(-1).numpy()):
         lever = LEVER_SHARE * misfit / float(apart[first:stop].median().clamp(min=0.05))
         share = math.hypot(min(0.5, lever), TIMING_STD_S * fps / (stop - first))
         near = slice(max(0, first - margin), stop + margin)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.body.parts import GRAVITY
-from recon.core.arrays import runs
+from recon.core.arrays import runs_of_true
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.mocap.force_plates import ForcePlates
@@ -88,7 +88,7 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
     torque, known = np.zeros((len(times), 2)), np.zeros((len(times), 2), dtype=bool)
     nearest, shared, strange = np.inf, 0, 0
     for k in range(plates.force.shape[1]):
-        for first, stop in runs(plates.loaded[at, k] & there):
+        for first, stop in runs_of_true(plates.loaded[at, k] & there):
             frames, rows = np.arange(first, stop), at[first:stop]
             pressed = plates.centre[rows, k, None, :2]
             apart = np.median(np.linalg.norm(pressed - centre[frames], axis=-1), axis=0)

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.body.contacts import rest_heights, touching_heights
+from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.parts import GRAVITY
 from recon.core.arrays import cached_constant
 from recon.core.skeleton import FEET
@@ -153,7 +153,7 @@ def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     posed, fps, span = estimate.body, estimate.motion.fps, _difference_step(estimate)
     places = cached_constant(FEET, posed.joints.device)
     feet = posed.joints[..., places, :]
-    resting = touching_heights(rest_heights(posed.model, posed.shape))[..., places]
+    resting = heights_in_contact(rest_heights(posed.model, posed.shape))[..., places]
     height = inner_frames(feet, fps)[..., 2] - resting[..., None, :]
     speed = feet.diff(dim=-3).square().sum(-1) * fps**2
     frames = height.shape[-2]

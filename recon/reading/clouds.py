@@ -15,7 +15,7 @@ from recon.core.limits import FRAMES, PADDED_CLOUD
 from recon.core.planes import (
     FoundGround,
     above_ground,
-    clusters,
+    cluster_numbers,
     depth_noise,
     find_ground,
     find_walls,
@@ -86,7 +86,7 @@ def clusters_of_one_person(clouds: list[np.ndarray], reach: float) -> tuple[list
 
 
 def _clusters_of_frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _PersonClusters:
-    label = clusters(cloud, reach)
+    label = cluster_numbers(cloud, reach)
     size = np.bincount(label)
     large = int((size >= _LARGE * size[0]).sum())
     things = [cloud[label == k] for k in range(large)]

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import hint_at_unusual_unit, settled_up
+from recon.core.coordinates import hint_at_unusual_unit, inferred_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
@@ -208,7 +208,7 @@ def _up_axis(
 ) -> tuple[Up, str]:
     """Return the up axis and the reason; of a given one, whether the person then lies."""
     try:
-        found, reason = settled_up(names, positions, visible, None, name)
+        found, reason = inferred_up(names, positions, visible, None, name)
     except UnitsError:
         if given is None:
             raise

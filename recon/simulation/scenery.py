@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
 from recon.body.model import BodyModel
-from recon.core.raster import tensor_normals
+from recon.core.raster import differentiable_normals
 from recon.core.skeleton import joint_index
 from recon.simulation.settings import FurnitureName
 
@@ -51,7 +51,7 @@ class Clothing:
 def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> BodyModel:
     """Return a body model whose surface is offset by random clothes, equal for all shapes."""
     offset = clothing_offsets(body, seed, clothing)
-    normals = tensor_normals(body.template, body.faces)
+    normals = differentiable_normals(body.template, body.faces)
     return body.replace(
         name=f"{body.name} clothed {seed}", template=body.template + offset[:, None] * normals
     )

@@ -11,8 +11,8 @@ import torch
 
 import recon
 from priors.pose.prior import PosePrior
-from recon.api.given import prior_of
-from recon.api.observations import clip_of, on_ground
+from recon.api.given import checked_prior
+from recon.api.observations import clip_of, in_fit_frame
 from recon.core.skeleton import JOINTS
 from recon.fitting import clip as clip_module
 from recon.formats.observations import PositionsFile, save_observation
@@ -92,7 +92,7 @@ def test_priors_are_named_imported_or_given(prior):
 @pytest.mark.parametrize("prior", ["humour", "tests.nowhere:Prior", "recon:nothing", 3, Quick])
 def test_what_is_no_prior_is_refused(prior):
     with pytest.raises(recon.WeightsError, match="prior"):
-        prior_of(prior, "open")
+        checked_prior(prior, "open")
 
 
 def test_pixels_and_metres_need_a_noise_each():
@@ -209,7 +209,7 @@ def test_other_arguments_are_refused(arguments, message):
 @pytest.mark.parametrize("ground", ["flat", (0.0, 1.0), 3, (0.0, 0.0, float("nan"), 0.0)])
 def test_what_is_no_ground_is_refused(ground):
     with pytest.raises(recon.ReconError, match="ground: expected"):
-        on_ground(clip_of(seen(noisy(8)), bundled()), ground)
+        in_fit_frame(clip_of(seen(noisy(8)), bundled()), ground)
 
 
 def test_what_is_no_clip_is_refused():

@@ -18,13 +18,13 @@ from recon.benchmark.protocols import (
     protocol_named,
     seen_windows,
 )
-from recon.benchmark.windows import FRAMES, bench_source, free_windows
+from recon.benchmark.windows import FRAMES, bench_windows, with_freely_licensed_windows
 from recon.core.errors import ReconError
 from recon.formats.motions import save_motion
 from recon.formats.observations import load_observation
 
 BODY = recon.BodyModel.load()
-WINDOWS, _, _ = bench_source(None, "test", None, None, BODY)
+WINDOWS, _, _ = bench_windows(None, "test", None, None, BODY)
 SEEN = {name: seen_windows(own, WINDOWS, BODY) for name, own in PROTOCOLS.items()}
 
 
@@ -190,8 +190,8 @@ def test_a_folder_of_motions_gives_intervals_over_its_clips(tmp_path):
 
 def test_the_committed_windows_are_of_freely_licensed_clips_alone():
     splits = Splits.load()
-    assert not all(splits.is_open(clip) for clip, _ in splits.windows["test"][FRAMES])
-    free = free_windows(splits, "test").windows["test"][FRAMES]
+    assert not all(splits.has_open_licence(clip) for clip, _ in splits.windows["test"][FRAMES])
+    free = with_freely_licensed_windows(splits, "test").windows["test"][FRAMES]
     assert {splits.subject(clip) for clip, _ in free} == {"07", "49", "16"}
     assert len(free) == 46
 

@@ -79,7 +79,7 @@ def test_every_command_has_a_benchmark() -> None:
 TABLE = Table(
     [("x", None), ("y", 1), ("z", 2)],
     [["one", 123.44, [1.234, 1.0, 2.0]], ["two", None, "3 of 4"]],
-    [{"command": "python -m benchmarks.a", "commit": "0123456789", "date": "today"}],
+    [{"command": "python -m benchmarks.a", "commit": "0123456789", "date": "2026-01-02"}],
     "A note.",
 )
 
@@ -92,7 +92,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert TABLE.markdown().splitlines() == [
         "| x | y | z |", "| --- | --: | --: |", "| one | 123.4 | 1.23 [1.00, 2.00] |",
         "| two | – | 3 of 4 |", "", "A note.", "",
-        "*Measured by `a`, commit 012345678, today.*",
+        "*Measured by `benchmarks.a` (commit 012345678, 2026-01-02).*",
     ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from benchmarks.protocol import cells, evenly, mean_of
 from recon.benchmark.dataset import Splits
 from recon.benchmark.methods import butterworth, whittaker
 from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
-from recon.benchmark.windows import TrueWindows, draw_girth, load_windows
+from recon.benchmark.windows import TrueWindows, load_windows, shape_with_random_girth
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, MotionFile
@@ -45,8 +45,12 @@ def test_smoothers_take_noise_away() -> None:
 
 def test_girth_keeps_the_bones_and_changes_the_rest() -> None:
     body = BodyModel.load()
-    shapes = [draw_girth(body, torch.zeros(16), np.random.default_rng(i)) for i in range(5)]
-    assert torch.equal(shapes[0], draw_girth(body, torch.zeros(16), np.random.default_rng(0)))
+    shapes = [
+        shape_with_random_girth(body, torch.zeros(16), np.random.default_rng(i)) for i in range(5)
+    ]
+    assert torch.equal(
+        shapes[0], shape_with_random_girth(body, torch.zeros(16), np.random.default_rng(0))
+    )
     for shape in shapes:
         moved = (body.rest_joints(shape) - body.joint_template).norm(dim=-1)
         assert moved.max() < 0.05  # metres, summed along the tree
@@ -75,7 +79,9 @@ def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
     assert windows.truth.translation.shape == (2, 60, 3)
     assert windows.subjects == ("07", "07")
     assert windows.truth.fps == 30
-    turned = so3.geodesic(windows.truth.rotations[1, 0, 0], windows.truth.rotations[0, 35, 0])
+    turned = so3.geodesic_angle(
+        windows.truth.rotations[1, 0, 0], windows.truth.rotations[0, 35, 0]
+    )
     assert turned.item() < 1e-3  # radians: 1.1667 s is frame 35
 
     noisy = noisy_joints(windows.truth, body, seed=3)

@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.body.angles import ISB_ANGLES, isb_angles, isb_slopes
+from recon.body.angles import ISB_ANGLES, isb_angle_derivatives, isb_angles
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.opensim import angles_about_axes, opensim_coordinates
@@ -223,7 +223,7 @@ def test_slopes_are_the_differences_of_angles_that_every_joint_s_turn_makes(body
     random = torch.Generator().manual_seed(0)
     bends = 0.3 * torch.randn(22, 3, generator=random).double() + torch.zeros(6, 22, 3)
     motion = motion.replace(rotations=motion.rotations @ so3.exp(bends))
-    slopes = isb_slopes(motion, body).reshape(6, len(ISB_ANGLES), 22, 3)
+    slopes = isb_angle_derivatives(motion, body).reshape(6, len(ISB_ANGLES), 22, 3)
     here = np.stack(list(isb_angles(motion, body).values()), -1)
     step = 1e-4
     for joint in range(22):

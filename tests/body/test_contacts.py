@@ -7,8 +7,8 @@ from torch import Tensor
 from recon.body.contacts import (
     contact_labels,
     contact_probabilities,
+    heights_in_contact,
     rest_heights,
-    touching_heights,
 )
 from recon.body.model import BodyModel
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS, MIRROR, joint_index
@@ -70,7 +70,7 @@ def test_a_knee_on_the_floor_is_contact_and_a_standing_knee_is_not(
     kneeling = joints.clone()
     kneeling[knee, 2] = 0.06
     assert contact_labels(moving(kneeling, 0.0, 30.0), height, 30.0)[:, knee].all()
-    assert touching_heights(height)[knee] < 0.05 < height[knee]  # metres
+    assert heights_in_contact(height)[knee] < 0.05 < height[knee]  # metres
 
 
 def test_only_contact_joints_are_labelled_and_never_the_pelvis() -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BonePoints
 from recon.body.levers import COORDINATES, Levers, ShapeLevers, bone_affines, rotations_after_turns
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
@@ -31,10 +31,10 @@ class Posed:
         self.weights = random(FRAMES, len(self.vertices)).square()
         self.forces = random(FRAMES, 3, len(self.vertices))
 
-    def carried(self) -> CarriedPoints:
+    def carried(self) -> BonePoints:
         eye = torch.eye(len(self.vertices), dtype=torch.float64)
         none = eye.new_zeros(len(eye), 22)
-        return CarriedPoints.create(self.body, self.shape, none, eye, self.vertices)
+        return BonePoints.create(self.body, self.shape, none, eye, self.vertices)
 
     def bones(self, steps: Tensor | None = None) -> Tensor:
         rest = self.body.rest_joints(self.shape)
@@ -52,7 +52,7 @@ class Posed:
         for k in range(COORDINATES):
             step = torch.zeros(FRAMES, COORDINATES, dtype=torch.float64)
             step[:, k] = STEP
-            ends = (levers.places(self.bones(sign * step)) for sign in (1, -1))
+            ends = (levers.positions(self.bones(sign * step)) for sign in (1, -1))
             columns.append((next(ends) - next(ends)).mT / (2 * STEP))
         return torch.stack(columns, -1)
 
@@ -65,7 +65,7 @@ def posed(body: BodyModel) -> Posed:
 def test_points_are_where_the_body_has_them(posed: Posed) -> None:
     motion = Motion.create(posed.translation, posed.rotations, posed.shape, 30.0)
     expected = posed.body.pose(motion).points(posed.vertices)
-    torch.testing.assert_close(Levers.of(posed.carried()).places(posed.bones()).mT, expected)
+    torch.testing.assert_close(Levers.of(posed.carried()).positions(posed.bones()).mT, expected)
 
 
 def test_derivatives_by_steps(posed: Posed) -> None:
@@ -95,6 +95,6 @@ def test_derivatives_by_the_shape(posed: Posed) -> None:
         for sign in (1, -1):
             other = Posed(posed.body)
             other.shape[k] += sign * STEP
-            ends.append(Levers.of(other.carried()).places(other.bones()).mT)
+            ends.append(Levers.of(other.carried()).positions(other.bones()).mT)
         difference = (ends[0] - ends[1]) / (2 * STEP)
         torch.testing.assert_close(found[..., k], difference, atol=1e-7, rtol=0)

@@ -10,7 +10,7 @@ from torch import Tensor
 from recon.core import rotations as so3
 from recon.core.camera import (
     Ground,
-    canonical_rotation,
+    rotation_to_heading_frame,
     tangent_basis,
     transform,
     world_from_camera,
@@ -46,7 +46,7 @@ def test_canonical_frame_equals_the_exact_reference(golden: dict[str, Tensor]) -
     ground = Ground.create(plane[:, :3], plane[:, 3])
     torch.testing.assert_close(decoded(golden["floor"]).coefficients, ground.coefficients)
     root = so3.exp(golden["root_aa"])
-    rotation = canonical_rotation(ground, root[:, 0])
+    rotation = rotation_to_heading_frame(ground, root[:, 0])
     torch.testing.assert_close(rotation, golden["exact_R"], rtol=0, atol=1e-10)
     moved = rotation[:, None] @ root
     torch.testing.assert_close(moved, golden["exact_canonical_root"], rtol=0, atol=1e-10)
@@ -75,7 +75,7 @@ def test_frame_of_a_body_parallel_to_the_ground_equals_the_exact_reference(
     assert golden["degenerate_ref_R"].isnan().any()
     ground = decoded(golden["degenerate_floor"])
     root = so3.exp(golden["degenerate_root_aa"][:, 0])
-    rotation = canonical_rotation(ground, root)
+    rotation = rotation_to_heading_frame(ground, root)
     torch.testing.assert_close(rotation, golden["degenerate_exact_R"], rtol=0, atol=1e-10)
     moved = (rotation @ root)[:, None]
     torch.testing.assert_close(
@@ -106,7 +106,7 @@ def test_lying_on_the_side_still_has_a_frame_and_a_gradient() -> None:
     vertical = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).requires_grad_()
     ground = Ground(vertical, torch.zeros(1, dtype=torch.float64))
     root = so3.exp(torch.tensor([[0.0, torch.pi / 2, 0.0]], dtype=torch.float64))
-    rotation = canonical_rotation(ground, root)
+    rotation = rotation_to_heading_frame(ground, root)
     identity = torch.eye(3, dtype=torch.float64)[None]
     torch.testing.assert_close(rotation @ rotation.mT, identity, rtol=0, atol=1e-12)
     front = (rotation @ root[:, :, 2:])[0, :, 0]

@@ -28,7 +28,7 @@ def test_a_longer_lens_farther_away_keeps_what_is_at_its_distance() -> None:
     """A dolly zoom; what is nearer grows less than with the longer lens alone."""
     lens = UnknownLens(torch.tensor([math.log(1.5) / ZOOM]), torch.tensor([DISTANCE]))
     near = full_hd_camera().map(lambda t: t[None, None])
-    far = lens.of(near)
+    far = lens.applied_to(near)
     assert float(far.camera_matrix[0, 0, 0, 0]) == pytest.approx(1.5 * 1500.0)
     assert float(far.camera_matrix[0, 0, 0, 2]) == pytest.approx(960.0)
     points = torch.tensor([[0.5, -0.3, DISTANCE], [0.5, -0.3, DISTANCE - 1]])[None, None]
@@ -49,7 +49,9 @@ def test_a_known_focal_length_is_left_alone() -> None:
     assert guessed.with_constants_of(scene.replace(lens=None)) is guessed
     settled = guessed.with_constants_of(scene)
     assert settled.focal_std == 0
-    torch.testing.assert_close(settled.camera.camera_matrix, lens.of(seen.camera).camera_matrix)
+    torch.testing.assert_close(
+        settled.camera.camera_matrix, lens.applied_to(seen.camera).camera_matrix
+    )
 
 
 def test_the_guess_is_a_phone_of_75_degrees() -> None:

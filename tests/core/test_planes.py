@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from recon.core.planes import above_ground, clusters, find_ground, find_walls
+from recon.core.planes import above_ground, cluster_numbers, find_ground, find_walls
 
 pytestmark = pytest.mark.numerics
 
@@ -47,8 +47,8 @@ def test_what_stands_on_the_ground_comes_apart():
     assert 8000 < len(kept) < 9200
     person = kept[np.linalg.norm(kept[:, :2] + 0.6, axis=1) < 0.7]
     heap = np.concatenate([person, person[:200] + 3.0])
-    assert (clusters(heap)[: len(person)] == 0).all()
-    assert (clusters(heap)[len(person) :] > 0).all()
+    assert (cluster_numbers(heap)[: len(person)] == 0).all()
+    assert (cluster_numbers(heap)[len(person) :] > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_interpolation_meets_its_ends_and_halves_the_angle():
     assert torch.allclose(so3.interpolate(a, b, 0 * one), a, atol=1e-9)
     assert torch.allclose(so3.interpolate(a, b, one), b, atol=1e-9)
     half = so3.interpolate(a, b, 0.5 * one)
-    assert torch.allclose(so3.geodesic(a, half), so3.geodesic(half, b), atol=1e-7)
+    assert torch.allclose(so3.geodesic_angle(a, half), so3.geodesic_angle(half, b), atol=1e-7)
 
 
 def test_heading_equals_the_exact_golden_values():
@@ -70,7 +70,7 @@ def test_heading_equals_the_exact_golden_values():
         root = torch.from_numpy(file["world_root_orient"].astype(np.float64)).reshape(-1, 3, 3)
         exact = torch.from_numpy(file["exact_A"].astype(np.float64))
     assert "exact_A" in names
-    assert torch.allclose(so3.heading(root), exact, atol=1e-6)
+    assert torch.allclose(so3.undo_heading(root), exact, atol=1e-6)
 
 
 @given(st.floats(-math.pi, math.pi), vectors)
@@ -78,13 +78,13 @@ def test_heading_equals_the_exact_golden_values():
 def test_heading_undoes_a_turn_about_the_vertical(angle, v):
     turn = so3.about_z(torch.tensor(angle, dtype=torch.float64))
     upright = so3.exp(v * 0.3) @ so3.exp(torch.tensor([math.pi / 2, 0, 0], dtype=torch.float64))
-    there = so3.heading(turn @ upright) @ turn
-    assert torch.allclose(there @ upright, so3.heading(upright) @ upright, atol=1e-9)
+    there = so3.undo_heading(turn @ upright) @ turn
+    assert torch.allclose(there @ upright, so3.undo_heading(upright) @ upright, atol=1e-9)
 
 
 def test_heading_of_a_body_lying_on_its_side_is_the_identity():
     side = so3.exp(torch.tensor([0.0, math.pi / 2, 0.0], dtype=torch.float64)).requires_grad_()
-    a = so3.heading(side)
+    a = so3.undo_heading(side)
     a.sum().backward()
     assert torch.allclose(a, torch.eye(3, dtype=torch.float64))
     assert side.grad is not None
@@ -93,8 +93,8 @@ def test_heading_of_a_body_lying_on_its_side_is_the_identity():
 
 def test_the_nearest_rotation_of_a_reflection_is_a_rotation():
     mirror = torch.diag(torch.tensor([1.0, 0.9, -0.8], dtype=torch.float64))
-    assert torch.allclose(so3.nearest(mirror), torch.eye(3, dtype=torch.float64))
-    assert so3.nearest(torch.zeros(2, 3, 3)).isfinite().all()
+    assert torch.allclose(so3.nearest_rotation(mirror), torch.eye(3, dtype=torch.float64))
+    assert so3.nearest_rotation(torch.zeros(2, 3, 3)).isfinite().all()
 
 
 def test_a_quaternion_turns_as_its_rotation_does():
@@ -108,10 +108,10 @@ def test_a_quaternion_turns_as_its_rotation_does():
 def test_the_smallest_rotation_between_directions_takes_one_to_the_other():
     random = torch.Generator().manual_seed(0)
     start, end = torch.randn(2, 50, 3, generator=random).double()
-    turn = so3.between(start, 3.0 * end)
+    turn = so3.rotation_between(start, 3.0 * end)
     unit = torch.nn.functional.normalize
     torch.testing.assert_close((turn @ unit(start, dim=-1)[..., None])[..., 0], unit(end, dim=-1))
     angle = torch.acos((unit(start, dim=-1) * unit(end, dim=-1)).sum(-1))
     torch.testing.assert_close(so3.log(turn).norm(dim=-1), angle)
-    same = so3.between(torch.cat((start, start)), torch.cat((start, 0 * start)))
+    same = so3.rotation_between(torch.cat((start, start)), torch.cat((start, 0 * start)))
     torch.testing.assert_close(same, torch.eye(3).double().expand(100, 3, 3))

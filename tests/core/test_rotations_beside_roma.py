@@ -42,17 +42,19 @@ def test_quaternions(rotations):
 def test_angles_between(rotations):
     others = rotations.roll(1, 0)
     theirs = roma.rotmat_geodesic_distance(rotations, others)
-    assert torch.allclose(so3.geodesic(rotations, others), theirs, atol=1e-12)
+    assert torch.allclose(so3.geodesic_angle(rotations, others), theirs, atol=1e-12)
 
 
 def test_the_nearest_rotation(rotations):
     for spoilt in (rotations, -rotations, rotations + torch.randn_like(rotations)):
         theirs = roma.special_procrustes(spoilt)
         # where two rotations are as near, which one is chosen means nothing
-        distances = [(spoilt - one).norm(dim=(-2, -1)) for one in (so3.nearest(spoilt), theirs)]
+        distances = [
+            (spoilt - one).norm(dim=(-2, -1)) for one in (so3.nearest_rotation(spoilt), theirs)
+        ]
         assert torch.allclose(*distances, atol=1e-12)
     noisy = rotations + 0.05 * torch.randn_like(rotations)
-    assert torch.allclose(so3.nearest(noisy), roma.special_procrustes(noisy), atol=1e-12)
+    assert torch.allclose(so3.nearest_rotation(noisy), roma.special_procrustes(noisy), atol=1e-12)
 
 
 def test_six_numbers_and_their_gradients(rotations):

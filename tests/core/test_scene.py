@@ -200,7 +200,7 @@ def test_another_focal_length_keeps_the_size_of_what_stands_at_the_distance():
     lens = UnknownLens(torch.full((1,), 2.0).double(), torch.full((1,), 4.0).double())
     factor = torch.tensor(2.0 * ZOOM).exp()
     torch.testing.assert_close(lens.factor.float(), factor[None])
-    other = lens.of(camera)
+    other = lens.applied_to(camera)
     focal, centre = camera.camera_matrix[..., :2, :2], camera.camera_matrix[..., 2]
     torch.testing.assert_close(other.camera_matrix[..., :2, :2], factor * focal)
     torch.testing.assert_close(other.camera_matrix[..., 2], centre)
@@ -210,5 +210,5 @@ def test_another_focal_length_keeps_the_size_of_what_stands_at_the_distance():
     middle = camera.camera_matrix[0, 0, 0, 2]
     grown = (after[0, 0, 2, 0] - middle) / (before[0, 0, 2, 0] - middle)
     torch.testing.assert_close(grown.float(), 8 * factor / (4 + 4 * factor))
-    unchanged = UnknownLens.create(lens.distance).of(camera)
+    unchanged = UnknownLens.create(lens.distance).applied_to(camera)
     torch.testing.assert_close(unchanged.T_camera_world, camera.T_camera_world)

@@ -8,8 +8,8 @@ import pytest
 from recon.core.coordinates import (
     corrected_up,
     decide_up,
+    inferred_up,
     reason_for_declared_unit,
-    settled_up,
     unit_from_bones,
     unit_from_markers,
     vectors_up_body,
@@ -81,7 +81,7 @@ def test_feet_that_stand_tell_each_of_six_directions(up: Up) -> None:
     walker[:, :, 0], walker[:, 0, 2] = 10 * heights[:, None], 1.6 + heights
     names, seen = ("Head", "LeftToeBase"), np.ones((9, 2), dtype=bool)
     for usual in (None, "y", "z"):
-        assert settled_up(names, walker @ to_z_up(up), seen, usual, "clip")[0] == up
+        assert inferred_up(names, walker @ to_z_up(up), seen, usual, "clip")[0] == up
 
 
 def test_who_stands_on_the_hands_leaves_it_to_the_custom_of_the_format() -> None:
@@ -89,8 +89,8 @@ def test_who_stands_on_the_hands_leaves_it_to_the_custom_of_the_format() -> None
     acrobat = np.zeros((9, 3, 3))
     acrobat[:, :, 2] = np.stack([np.full(9, 0.3), 1.7 + swing, np.zeros(9)], -1)
     seen, names = np.ones((9, 3), dtype=bool), ("Head", "LeftToeBase", "Hand")
-    assert settled_up(names, acrobat, seen, "z", "clip")[0] == "z"
-    assert settled_up(names, acrobat, seen, None, "clip")[0] == "z-down"
+    assert inferred_up(names, acrobat, seen, "z", "clip")[0] == "z"
+    assert inferred_up(names, acrobat, seen, None, "clip")[0] == "z-down"
 
 
 def test_a_lying_body_leaves_it_to_the_custom_of_the_format() -> None:

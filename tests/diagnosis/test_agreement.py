@@ -24,7 +24,7 @@ def batch(motion: Motion) -> Motion:
 
 
 def lengths(seen, estimate) -> torch.Tensor:
-    return seen.residuals(estimate).present()
+    return seen.residuals(estimate).seen_distances()
 
 
 def estimate(motion: Motion) -> Estimate:

@@ -10,7 +10,7 @@ from observations.first_guess import with_first_guess
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.surfels import Surfels
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
@@ -74,7 +74,7 @@ def test_one_camera_of_unknown_pose(settings):
     up = (found.T_world_recording[0] @ seen.camera.T_world_camera[0, 0])[2, :3]
     true_up = true.camera.T_world_camera[0, 0, 2, :3]
     assert math.degrees(math.acos(float((up * true_up).sum().clamp(max=1)))) < 8
-    soles = float(sole_heights(found.result.motion.detach(), bundled())[0])
+    soles = float(ground_heights(found.result.motion.detach(), bundled())[0])
     assert abs(soles) < 0.05
     # HuMoR's networks like short steps: they shrank a man by a fifth, whom one view cannot measure
     finding = [report.stage.name for report in found.result.reports if moves_shape(report)]
@@ -103,7 +103,7 @@ def test_a_known_ground_sets_the_distance_of_one_camera(angle):
     assert found.ground_known
     torch.testing.assert_close(found.T_world_recording[0], torch.eye(4))
     assert joint_error(found.result.motion.detach()[0], truth) < 0.09
-    assert abs(float(sole_heights(found.result.motion.detach(), bundled())[0])) < 0.06
+    assert abs(float(ground_heights(found.result.motion.detach(), bundled())[0])) < 0.06
 
 
 @pytest.mark.parametrize("settings", [POSE, HUMOR], ids=["pose", "humor"])

@@ -9,7 +9,7 @@ import pytest
 
 from priors.anchor.prior import AnchorFrames
 from recon import cli
-from recon.api.cycle import swing_difference
+from recon.api.cycle import swing_difference_from_textbook
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
@@ -224,12 +224,12 @@ def test_somebody_who_stands_is_out_of_domain(settings, tmp_path):
 def test_hips_tell_cycles_of_gait():
     walk = one_cycle()
     assert len(find_cycles(walk)) > 0
-    gait = swing_difference(walk)
+    gait = swing_difference_from_textbook(walk)
     assert gait is not None
     assert gait < SWING / 2
-    half = swing_difference(walk.window(0, walk.frames // 2))
+    half = swing_difference_from_textbook(walk.window(0, walk.frames // 2))
     assert half is None or half > SWING
-    backwards = swing_difference(
+    backwards = swing_difference_from_textbook(
         walk.replace(rotations=walk.rotations[:1].expand_as(walk.rotations))
     )
     assert backwards is None or backwards > SWING

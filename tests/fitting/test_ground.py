@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.rotations import transform
@@ -58,7 +58,7 @@ def test_a_level_frame_needs_a_height_alone():
     ground = ground_by_feet(lifted, bundled())
     assert (ground.tilt == 0).all()
     assert float(ground.lift[0]) == pytest.approx(-0.4, abs=0.02)
-    assert float(sole_heights(lifted, bundled())[0]) == pytest.approx(0.4, abs=0.02)
+    assert float(ground_heights(lifted, bundled())[0]) == pytest.approx(0.4, abs=0.02)
     below = point_below_pelvis(lifted, bundled())[0]
     assert below[2] == 0
     assert (below - lifted.translation.mean(1)[0]).norm(dim=-1) > 0.1

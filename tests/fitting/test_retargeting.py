@@ -138,5 +138,5 @@ def test_the_bundled_weights_on_a_recorded_walk():
     assert rows["made"]["physdiff_float"] < 0.1 * rows["copy"]["physdiff_float"]
     assert rows["made"]["slip_in_contact"] < 0.6 * rows["copy"]["slip_in_contact"]
     assert rows["made"]["penetrate"] < rows["truth"]["penetrate"] + 0.003
-    turned = so3.geodesic(motions["made"].rotations, walk.rotations).mean().rad2deg()
+    turned = so3.geodesic_angle(motions["made"].rotations, walk.rotations).mean().rad2deg()
     assert 0.05 < float(turned) < 6

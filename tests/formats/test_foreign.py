@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from recon.cli.looks import refuse_foreign
+from recon.cli.looks import refuse_foreign_files
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ from recon.cli.looks import refuse_foreign
 def test_foreign_files_are_refused_with_what_was_seen(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=said):
-        refuse_foreign([tmp_path / name])
+        refuse_foreign_files([tmp_path / name])
 
 
 @pytest.mark.parametrize(
@@ -45,14 +45,14 @@ def test_foreign_files_are_refused_with_what_was_seen(tmp_path, name, content, s
 )
 def test_files_that_may_be_observations_are_let_in(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    refuse_foreign([tmp_path / name])
+    refuse_foreign_files([tmp_path / name])
 
 
 def test_motions_are_told_from_observations(tmp_path):
     motion = {"trans": np.zeros((2, 3)), "poses": np.zeros((2, 66)), "body_checksum": "1"}
     np.savez(tmp_path / "m.npz", **motion)
     with pytest.raises(ValueError, match="a motion of recon: `recon refine` takes it"):
-        refuse_foreign([tmp_path / "m.npz"])
+        refuse_foreign_files([tmp_path / "m.npz"])
 
 
 def test_the_command_refuses_them_without_torch(tmp_path):

@@ -11,7 +11,7 @@ import torch
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.core.raster import tensor_normals
+from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.gltf import write_glb
 from recon.export.skeleton import quaternions
@@ -129,7 +129,7 @@ def test_quaternions_take_the_short_way_and_mean_the_same_rotation() -> None:
 
 def test_normals_point_outwards() -> None:
     corners = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]], dtype=torch.float64)
-    normals = tensor_normals(corners, torch.tensor([[0, 1, 2]]))
+    normals = differentiable_normals(corners, torch.tensor([[0, 1, 2]]))
     assert np.allclose(normals[:3].numpy(), [0, 0, 1])
     assert np.allclose(normals[3].numpy(), [0, 1, 0])
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.cli.looks import refuse_foreign
+from recon.cli.looks import refuse_foreign_files
 from recon.core.errors import FormatError
 from recon.formats.producers import is_estimate
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
@@ -70,7 +70,7 @@ def test_all_ways_of_saving_give_the_same_place(tmp_path):
         path = tmp_path / name
         assert holds_points_3d(path)
         assert not is_estimate([path])
-        refuse_foreign([path])
+        refuse_foreign_files([path])
         found = first(path)
         assert np.isnan(found[10]).all()
         assert np.nanmax(np.abs(found - truth)) < 1e-3

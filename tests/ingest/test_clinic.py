@@ -168,7 +168,7 @@ def test_offsets_turn_with_their_bones(walk: Motion, single: BodyModel) -> None:
     estimate = Estimate.of_clip(walk, single)
     assert float(seen(estimate)) < 1e-9
     carried = seen.on_bones(single, walk.shape)
-    again = carried.of(posed.orientations[0], posed.joints[0])
+    again = carried.positions(posed.orientations[0], posed.joints[0])
     torch.testing.assert_close(again, places[0], atol=1e-5, rtol=0)
     assert float(seen.replace(offsets=None)(estimate)) > 1e-3
 

@@ -60,7 +60,7 @@ def planted(bundled: BodyModel) -> Motion:
     shape = torch.zeros(bundled.shape_size)
     shape[:3] = torch.tensor([0.8, -0.6, 0.5])
     motion = Motion.create(torch.zeros(FRAMES, 3), local, shape, FPS)
-    down = Stance.of(motion, bundled, Soles.of(bundled)).height()
+    down = Stance.of(motion, bundled, Soles.of(bundled)).ground_height()
     place = torch.stack((0.05 * time, 0.1 * time, torch.full_like(time, -down)), -1)
     return motion.replace(translation=place)
 
@@ -81,7 +81,7 @@ def test_our_own_skeleton_comes_back(
     truth = bundled.pose(planted).joints
     ours = converted.joints + torch.tensor([0.0, 0.0, converted.ground_shift])
     assert (ours - truth).norm(dim=-1).mean() < 0.005  # metres
-    angles = so3.geodesic(bundled.pose(converted.motion).orientations,
+    angles = so3.geodesic_angle(bundled.pose(converted.motion).orientations,
                           bundled.pose(planted).orientations)  # fmt: skip
     assert torch.rad2deg(angles).mean() < 4.0  # degrees
     assert converted.motion.fps == FPS
@@ -116,7 +116,9 @@ def test_t_pose_gives_first_alignments(recording: SkeletonRecording, bundled: Bo
     found = alignments_from_rest(recording, skeleton, bundled)
     assert found is not None
     identity = torch.eye(3).expand_as(found)
-    assert torch.rad2deg(so3.geodesic(found, identity)).max() < 10.0  # degrees, another shape
+    assert (
+        torch.rad2deg(so3.geodesic_angle(found, identity)).max() < 10.0
+    )  # degrees, another shape
     collapsed = dataclasses.replace(recording, rest_offsets=np.abs(recording.rest_offsets))
     assert alignments_from_rest(collapsed, skeleton, bundled) is None
 
@@ -229,8 +231,8 @@ def test_collections_read_manifests(recording: SkeletonRecording, tmp_path: Path
         "a.bvh,7,walk on uneven terrain,one common skeleton\nb.bvh,8,walk,\nc.bvh,8,walk,\n"
     )
     ((a, b, c),) = clips_by_collection(tmp_path)
-    assert (a.subject, a.flat, a.contacts) == ("7", False, False)
-    assert (b.flat, b.contacts) == (True, True)
+    assert (a.subject, a.on_flat_ground, a.sure_contacts) == ("7", False, False)
+    assert (b.on_flat_ground, b.sure_contacts) == (True, True)
     found = {content.clip.name: content for content in contents_of_clips([a, b, c])}
     assert skeleton_key(found["a"].read()).startswith("pelvis,")
     with pytest.raises(ValueError, match="no line MOTION"):

@@ -57,7 +57,7 @@ def test_windows_of_another_clock_are_brought_onto_the_first_ones(toy_body):
     assert 0 <= whole.stop_time - second.stop_time < 1 / 30
     truth = fine.at(whole.times.clamp(max=fine.stop_time), 30.0)
     assert (whole.translation - truth.translation).norm(dim=-1).max() < 1e-4  # metres
-    assert so3.geodesic(whole.rotations, truth.rotations).max() < 2e-3  # radians
+    assert so3.geodesic_angle(whole.rotations, truth.rotations).max() < 2e-3  # radians
 
 
 def test_different_motions_fade_into_each_other(toy_body):
@@ -74,7 +74,7 @@ def test_different_motions_fade_into_each_other(toy_body):
     assert away.diff().min() >= 0
     assert away.diff().max() < 1.6 * 0.1 / 19  # the steepest a smooth fade need be
     assert away.diff(n=2).abs().max() < 6.5 * 0.1 / 19**2  # no kink at either end
-    turned = so3.geodesic(whole.rotations[:, 0], still.rotations[:, 0])
+    turned = so3.geodesic_angle(whole.rotations[:, 0], still.rotations[:, 0])
     assert torch.allclose(turned, 5 * away, atol=1e-6)
 
 

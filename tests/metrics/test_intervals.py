@@ -56,9 +56,9 @@ def test_paired_differences_see_what_separate_intervals_do_not() -> None:
     assert one.low < other.high  # the separate intervals overlap
     found = paired_difference(better.tolist(), easy.tolist(), clips, subjects)
     assert found.mean == pytest.approx(-0.2)
-    assert found.sure
+    assert found.excludes_zero
     noise = random.normal(0.0, 1.0, 30)
-    assert not paired_difference(noise.tolist(), (-noise).tolist(), clips, subjects).sure
+    assert not paired_difference(noise.tolist(), (-noise).tolist(), clips, subjects).excludes_zero
 
 
 def test_windows_without_a_value_are_left_out() -> None:

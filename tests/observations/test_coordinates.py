@@ -13,7 +13,7 @@ from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
-from recon.core.coordinates import settled_up, unit_of_path
+from recon.core.coordinates import inferred_up, unit_of_path
 from recon.core.errors import ObservationError, UnitsError
 from recon.core.hands import facing_agreement, right_handed_signs
 from recon.core.layouts import keypoint_names
@@ -187,5 +187,5 @@ def test_who_turns_over_tells_no_axis() -> None:
     points[:, 1, 0] += 0.2
     seen = np.ones((30, 2), dtype=bool)
     with pytest.raises(UnitsError, match="--up"):
-        settled_up(("pelvis", "neck"), points, seen, None, "cartwheel")
-    assert settled_up(("pelvis", "neck"), points, seen, "z", "cartwheel")[0] == "z"
+        inferred_up(("pelvis", "neck"), points, seen, None, "cartwheel")
+    assert inferred_up(("pelvis", "neck"), points, seen, "z", "cartwheel")[0] == "z"

@@ -188,7 +188,7 @@ def test_the_first_guess_finds_body_and_heading(body):
     file = depth_points(motion[0], body, sensor, Corruption(missing_frames=0.3), 1)
     start = cloud_of(file, body).cloud.start(body)
     assert start.translation.shape == (1, 12, 3)
-    assert so3.geodesic(start.rotations[0, 0, 0], turn) < 0.3
+    assert so3.geodesic_angle(start.rotations[0, 0, 0], turn) < 0.3
     error = (body.pose(start).joints[:, :, 0] - body.pose(motion).joints[:, :, 0]).norm(dim=-1)
     assert error.max() < 0.1
     scans = cloud_of(scan_points(motion[0], body, Corruption(noise=0.005), 0), body).cloud

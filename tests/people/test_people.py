@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import recon
-from recon.body.soles import sole_heights
+from recon.body.soles import ground_heights
 from recon.core import rotations as so3
 from recon.core.motion import MotionFile
 from recon.core.rotations import transform
@@ -67,7 +67,7 @@ def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
     across = sorted(float(place[0]) for place in places)
     assert across[1] - across[0] == pytest.approx(BESIDE[1] - BESIDE[0], rel=0.25)
     assert abs(float(places[0][2] - places[1][2])) < 0.6
-    assert all(abs(float(sole_heights(one.motion[None], bundled()))) < 0.04 for one in files)
+    assert all(abs(float(ground_heights(one.motion[None], bundled()))) < 0.04 for one in files)
 
 
 def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:

@@ -5,7 +5,7 @@ import torch
 
 from priors.humor.generation import FootingSettings, roll_from
 from priors.humor.state import State, states_of
-from recon.body.contacts import rest_heights, touching_heights
+from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
 from recon.physics.zmp import GRAVITY
@@ -17,7 +17,7 @@ from tests.standing_body import path, standing, times
 def stands(body: BodyModel) -> tuple[State, torch.Tensor]:
     """A standing body's state, axis (1), and the heights of its feet."""
     motion = standing(body, path(like=times(0.1, 30.0)), 30.0).map(lambda t: t[None])
-    touching = touching_heights(rest_heights(body, motion.shape))[:, FEET]
+    touching = heights_in_contact(rest_heights(body, motion.shape))[:, FEET]
     return states_of(motion, body)[:, 1], touching
 
 
@@ -64,7 +64,7 @@ def test_the_ground_holds_what_networks_let_sink(body: BodyModel) -> None:
     """Networks that leave a sunken body as it is: with footing it rises, without it does not."""
     prior, motion = humor(body, still=True), motions()[:1]
     first = lifted(states_of(motion, body)[:, 0], 0.0)
-    touching = touching_heights(rest_heights(body, motion.shape))[:, FEET]
+    touching = heights_in_contact(rest_heights(body, motion.shape))[:, FEET]
     sunk = lifted(first, float(-0.3 - (first.joints[:, FEET, 2] - touching).amin()))
     random = torch.Generator().manual_seed(0)
     lowest = []

@@ -107,7 +107,7 @@ def test_proposals_join_what_is_seen_without_a_jump() -> None:
         found[:, seen], known.expand(2, -1, -1, -1, -1)[:, seen], rtol=0, atol=1e-5
     )
     torch.testing.assert_close(found[:, :, 7], proposed[:, :, 7])
-    steps = so3.geodesic(found[:, 1:], found[:, :-1])
+    steps = so3.geodesic_angle(found[:, 1:], found[:, :-1])
     assert steps[:, :, (4, 5)].max() < 0.4  # radians
     eye = torch.eye(3).expand_as(found)
     torch.testing.assert_close(found @ found.mT, eye, rtol=0, atol=1e-5)

@@ -248,8 +248,8 @@ def test_splits_go_by_clip_names(splits: Splits, tmp_path: Path) -> None:
         "06_03", "dataset-1_bow_active_000", "dataset-1_bow_active_010"
     }  # fmt: skip
     assert splits.windows["test"] == {60: (("07_01", 0.5),)}
-    assert splits.is_open("08_01")
-    assert not splits.is_open("dataset-1_bow_active_000")
+    assert splits.has_open_licence("08_01")
+    assert not splits.has_open_licence("dataset-1_bow_active_000")
 
     broken = tmp_path / "broken.toml"
     broken.write_text("[test]")

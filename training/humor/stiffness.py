@@ -94,7 +94,7 @@ def step_curvatures(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "nu
             for v in _perturbed_variables(prior, base)
         ]
     error, latents = (torch.stack(part, 1) for part in zip(*columns, strict=True))
-    turn = so3.heading(motion.rotations[:, 1, 0])
+    turn = so3.undo_heading(motion.rotations[:, 1, 0])
     return {
         name: _mean_jtj(_jacobian_in_heading(jacobian, turn))
         for name, jacobian in (("error", error), ("latents", latents))

@@ -170,7 +170,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
 def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
     """Orientation of the pelvis at every time, with its heading rotated away."""
     root = moments.rotations[:, :, 0]
-    return so3.heading(root) @ root
+    return so3.undo_heading(root) @ root
 
 
 GRAVITY = 9.81

@@ -16,7 +16,7 @@ from priors.labels.regions import Regions
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.raster import tensor_normals
+from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.simulation.scenery import Clothing, clothed, random_field
 from training.labels.clouds import POINTS, LabelledClouds
@@ -51,7 +51,7 @@ def with_hair(body: BodyModel, seed: int) -> BodyModel:
     grows = (away[:, 1] - 2.5 * away[:, 2].clamp(min=0) > -_HAIRLINE).to(away)
     field = 1 + 0.3 * random_field(body.template, 0.05, generator)
     carried = body.weights[:, joint_index("head")] * grows * field.clamp(min=0)
-    normals = tensor_normals(body.template, body.faces)
+    normals = differentiable_normals(body.template, body.faces)
     return body.replace(template=body.template + (longest * carried)[:, None] * normals)
 
 
