@@ -26,7 +26,7 @@ from recon.core.limits import FRAME_RATE, POINT_DEVIATION, POSITION, TIME
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
-else:  # only annotations name Camera: at run time its module need not be loaded
+else:  # at run time Any replaces Camera, whose module need not be imported
     from typing import Any as Camera
 
 FARTHEST = 5.0

@@ -45,7 +45,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if named:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
-        # imported here: only points seen by several cameras are triangulated
+        # imported only when several cameras see the points, which may be triangulated then
         from observations.camera_paths import can_triangulate, views_on_one_clock, views_start
 
         alike = views_on_one_clock(views)

@@ -25,7 +25,7 @@ from recon.method.sensor import Sensor
 
 if TYPE_CHECKING:
     from observations.correspondences import BodyPoints
-else:  # only annotations name BodyPoints: at run time its module need not be loaded
+else:  # at run time Any replaces BodyPoints, whose module need not be imported
     from typing import Any as BodyPoints
 
 OFFSET_UNIT = 0.05

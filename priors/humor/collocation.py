@@ -223,7 +223,7 @@ class Collocation(Prior[PoseVariables]):
         whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         if all_joints_located(data, self.humor.body):
             return whole
-        # imported here: fits in which every joint is seen need no network for limbs
+        # imported only when some joints may be hidden for a while
         from priors.look.looking import UnseenLimbProposals, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)
@@ -233,7 +233,7 @@ class Collocation(Prior[PoseVariables]):
         limbs = replace(limbs, proposals=UnseenLimbProposals(network, unseen))
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
-        # imported here: only fits with limbs that are never seen need it
+        # imported only when limbs are never seen
         from priors.humor.likely import LikelyStates, slowing_factor
         from recon.physics.support import SupportEnergy
 

@@ -196,7 +196,7 @@ def _smoothed_over_time(
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
     """Return posterior means of Gaussian processes, given values and their inverse covariances."""
-    from scipy.linalg import solveh_banded  # imported here: only gaps need it
+    from scipy.linalg import solveh_banded  # imported only when markers have gaps
 
     at = moments.numpy()
     time = int(at[-1]) + 1

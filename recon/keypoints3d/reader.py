@@ -153,7 +153,7 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if holds_sam3d_body(path):
-        from recon.keypoints3d.sam3d_body import read_sam3d_body  # imported here: a rare format
+        from recon.keypoints3d.sam3d_body import read_sam3d_body  # imported only for this format
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():

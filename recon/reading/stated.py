@@ -25,7 +25,7 @@ _DRIFT = 1.0
 def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     """Detections in a film or a file that states the size of its images; None for other files."""
     if is_film(path):
-        from recon.films.reader import read_film  # imported here: it loads networks
+        from recon.films.reader import read_film  # imported only for films: loads networks
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,

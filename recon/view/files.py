@@ -156,7 +156,7 @@ def show_of_files(
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     points, cloud, cameras = read_observed(obs, file, model)
     if film:
-        from recon.view.film import views_of_cameras, with_films  # imported here: loads a decoder
+        from recon.view.film import views_of_cameras, with_films  # imported only for films
 
         cameras = with_films(
             cameras or views_of_cameras(file.cameras), film, file.motion, str(motion), frame_rate

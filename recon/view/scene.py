@@ -16,7 +16,7 @@ from recon.core.visible import visible
 
 if TYPE_CHECKING:
     from recon.view.film import FilmOnClock
-else:  # only annotations name FilmOnClock: at run time its module need not be loaded
+else:  # at run time Any replaces FilmOnClock, whose module need not be imported
     from typing import Any as FilmOnClock
 
 Colour = tuple[int, int, int]
