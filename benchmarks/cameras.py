@@ -38,7 +38,7 @@ from recon.benchmark.windows import TrueWindows
 from recon.core.camera import full_hd_camera
 from recon.metrics.evaluation import evaluate, ground_errors
 from recon.reading.images import keypoints_of
-from recon.simulation.images import dome, keypoints2d, orbiting
+from recon.simulation.images import camera_ring, keypoints2d, orbiting_camera
 from recon.simulation.points import Corruption
 
 SEED, FRAMES = 0, 90
@@ -99,10 +99,10 @@ def measured(
     """Simulate one window's cameras, fit, and return errors and CPU time."""
     count, posed, half = CASES[case]
     truth = windows.truth[number]
-    cameras = list(dome(truth, body, full_hd_camera(), count, first=2.4 * number))
+    cameras = list(camera_ring(truth, body, full_hd_camera(), count, first=2.4 * number))
     if case == _MOVING:
         middle = body.pose(truth).joints.flatten(0, 1).mean(0)
-        cameras = [orbiting(cameras[0], middle, truth.frames, _ORBIT_RAD)]
+        cameras = [orbiting_camera(cameras[0], middle, truth.frames, _ORBIT_RAD)]
     hidden = corruption(truth, PIXELS, whole=half)
     views, visible = filmed(cameras, truth, body, hidden, number, posed=posed)
     began = time.process_time()

@@ -58,7 +58,7 @@ from recon.formats.observations import (
 )
 from recon.metrics.evaluation import evaluate
 from recon.simulation.depth import PixelSurface, WatchedSurface, depth_points, without_pose
-from recon.simulation.images import dome, keypoints2d
+from recon.simulation.images import camera_ring, keypoints2d
 from recon.simulation.points import Corruption, joints3d
 
 JOINT_NOISE = 0.03
@@ -84,7 +84,7 @@ class Seen:
     @functools.cached_property
     def camera(self) -> Camera:
         """The depth sensor at its true pose."""
-        return dome(self.truth, self.body, depth_camera(), 1, first=2.4 * self.number)[0]
+        return camera_ring(self.truth, self.body, depth_camera(), 1, first=2.4 * self.number)[0]
 
     @functools.cached_property
     def cloud(self) -> PointsFile:

@@ -40,9 +40,9 @@ from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.records import Points3D
 from recon.mocap.recording import MarkerRecording, settle_markers
-from recon.reading.keypoints3d import settled
-from recon.reading.points import points_settled
-from recon.simulation.images import dome
+from recon.reading.keypoints3d import points_in_metres
+from recon.reading.points import positions_in_metres
+from recon.simulation.images import camera_ring
 from recon.simulation.points import Corruption, scan_points
 
 SEED, FRAMES, LEGS = 0, 300, ("knee", "ankle", "foot", "toe", "heel", "KNE", "ANK", "HEE", "TOE")
@@ -93,16 +93,16 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
     def joints(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         file = PositionsFile("joints3d", points * seen[..., None], seen, tuple(JOINTS), FPS)
-        return points_settled(file, "joints", body).positions
+        return positions_in_metres(file, "joints", body).positions
 
     def keypoints(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         shown = np.where(seen[..., None], points, np.nan)
-        return settled(Points3D("points", shown, SPACE, fps=FPS), body).positions
+        return points_in_metres(Points3D("points", shown, SPACE, fps=FPS), body).positions
 
     def views(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         there = torch.from_numpy(points - points.mean((0, 1))) + layout.mean((0, 1))
         filmed: list[Keypoints2D] = []
-        for k, camera in enumerate(dome(truth, body, full_hd_camera(), 3)):
+        for k, camera in enumerate(camera_ring(truth, body, full_hd_camera(), 3)):
             noise = PIXELS * np.random.default_rng(3 * seed + k).normal(size=(*seen.shape, 2))
             pixels = camera.project(there.float()).pixels.double().numpy() + noise
             filmed.append(Keypoints2D(pixels[None], seen[None] * 1.0, of_body, camera, FPS))

@@ -61,7 +61,7 @@ def stances(path: Path, mass: float, body: BodyModel) -> list[np.ndarray]:
             row["vertical_rms_percent"], abs(row["impulse_percent"]), row["centre_cm"],
             *held(measured, found, sides[name]),
         ])
-        for name, row in measured.compared(found).items()
+        for name, row in measured.errors_of(found).items()
     ]  # fmt: skip
 
 

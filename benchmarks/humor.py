@@ -25,7 +25,7 @@ from benchmarks.protocol import (
 from recon.benchmark.dataset import clip_files
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.table import BenchTable, mean_with_interval, paired_difference
-from training.humor.corpus import OTHER, described_action, kind_of
+from training.humor.corpus import OTHER, described_action, kind_of_motion
 
 PROTOCOLS = {
     "noisy-joints": "noisy-joints",
@@ -128,7 +128,7 @@ def kinds(found: Mapping[str, BenchTable], told: Mapping[str, str]) -> Table:
     """Build a table of errors by kind of motion, the easiest first, with intervals over clips."""
     names, subjects = found["noisy-joints"].names, found["noisy-joints"].subjects
     clips = [name.rsplit("@", 1)[0] for name in names]
-    own = [kind_of(told[clip]) for clip in clips]
+    own = [kind_of_motion(told[clip]) for clip in clips]
     pairs = [(name, method) for name in MAIN for method in (POSE, HUMOR)]
     rows: list[tuple[float, list[Cell]]] = []
     for kind in dict.fromkeys(own):

@@ -38,7 +38,7 @@ from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera
 from recon.core.skeleton import FEET, JOINTS, TOES
 from recon.keypoints3d.layouts import MHR70
-from recon.simulation.images import dome
+from recon.simulation.images import camera_ring
 from training.recordings import mirrored_rotations
 
 _LEGS = tuple(
@@ -239,7 +239,7 @@ def of_sam3d_body(
     """Simulate a file of SAM 3D Body; yield its errors and those after `recon.refine`."""
     points, random = BodyPoints.of_names(_POINTS, body), np.random.default_rng(seed)
     true = points.of(body.pose(truth)).detach()
-    camera = dome(truth, body, full_hd_camera(), 1, first=2.4 * seed)[0]
+    camera = camera_ring(truth, body, full_hd_camera(), 1, first=2.4 * seed)[0]
     seen = so3.transform(camera.T_camera_world, true).double().numpy()
     (focal, _, x), (_, _, y), _ = camera.camera_matrix.double().tolist()
     stds = (_SIZE, _DEPTH, _LENS)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from observations.keypoints2d import Keypoints2D
 from observations.start.images import bone_distance
-from observations.start.rigid import limbs_towards, rigid_start
+from observations.start.rigid import rigid_start, with_limbs_towards_points
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
@@ -43,7 +43,7 @@ def with_path_in_metres(
         feet: places in the frame of the camera, metres; nan where they are not known.
     """
     poses = view.camera.T_world_camera.double().cpu().numpy()
-    units = [path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
+    units = [metres_per_path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
     return with_scaled_path(view, torch.tensor(units))
 
 
@@ -56,7 +56,7 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     return view.derived(camera=view.camera.derived(T_camera_world=back))
 
 
-def path_unit(
+def metres_per_path_unit(
     T_world_camera: Float[np.ndarray, "moments 4 4"],
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
@@ -70,32 +70,34 @@ def path_unit(
         feet: one place of either foot in the frame of the camera, metres; nan where not seen.
         fps: of both.
     """
-    places = T_world_camera[:, :3, 3]
-    extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+    positions = T_world_camera[:, :3, 3]
+    extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
     lag = max(1, round(_LAG * fps))
     seen = np.isfinite(feet).all(-1)
     distance = float(np.median(np.linalg.norm(feet[seen], axis=-1))) if seen.any() else np.nan
-    if extent < _MIN_EXTENT or len(places) <= lag or not np.isfinite(distance):
+    if extent < _MIN_EXTENT or len(positions) <= lag or not np.isfinite(distance):
         return 1.0
     turned = np.einsum("tij,tfj->tfi", T_world_camera[:, :3, :3], feet)
     own = (turned[lag:] - turned[:-lag]) * fps / lag
-    carried = (places[lag:] - places[:-lag])[:, None] * fps / lag
+    carried = (positions[lag:] - positions[:-lag])[:, None] * fps / lag
     if not np.isfinite(own).all(-1).any():
         return 1.0
 
-    def misfit(unit: float) -> float:
+    def mean_log_speed_of_slower_foot(unit: float) -> float:
         speed = np.linalg.norm(own + unit * carried, axis=-1)
         slower = np.nan_to_num(speed, nan=np.inf).min(-1)
         slower = slower[np.isfinite(slower)]
         return float(np.log1p((slower / _STANDING) ** 2).mean())
 
     tried = _TRIED * distance / extent
-    best = tried[np.argmin([misfit(unit) for unit in tried])]
+    best = tried[np.argmin([mean_log_speed_of_slower_foot(unit) for unit in tried])]
     closer = _CLOSER * best
-    return float(closer[np.argmin([misfit(unit) for unit in closer])])
+    return float(closer[np.argmin([mean_log_speed_of_slower_foot(unit) for unit in closer])])
 
 
-def keypoint_feet(view: Keypoints2D, body: BodyModel) -> Float[np.ndarray, "batch moments feet 3"]:
+def feet_in_camera(
+    view: Keypoints2D, body: BodyModel
+) -> Float[np.ndarray, "batch moments feet 3"]:
     """Feet in the camera's frame, metres, at the distance that the length of bones implies."""
     names = list(view.points.names)
     rows = [names.index(name) for name in _FEET if name in names] or list(range(len(names)))
@@ -154,7 +156,7 @@ def triangulate(
     return torch.where(exists[..., None], points, 0.0), exists
 
 
-def on_first_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
+def views_on_one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
     """Return the views with the first one's frame rate, start time and number of frames."""
 
     def clock(view: Keypoints2D) -> tuple[object, ...]:
@@ -180,4 +182,4 @@ def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
     start = rigid_start(
         body, rest, bones, positions, visible, fps=first.fps, start_time=first.start_time
     )
-    return limbs_towards(start, body, rest, bones, positions, visible)
+    return with_limbs_towards_points(start, body, rest, bones, positions, visible)

@@ -26,7 +26,7 @@ from recon.core.limits import FRAME_RATE, POINT_DEVIATION, POSITION, TIME
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
-else:  # only annotations name Camera: at run time its module need not be loaded
+else:  # at run time Any replaces Camera, whose module need not be imported
     from typing import Any as Camera
 
 FARTHEST = 5.0
@@ -51,13 +51,13 @@ def checked_positions(
     Raises:
         ValueError: for other shapes, NaN or infinity where visible, and what are no metres.
     """
-    hidden = numpy_mask(positions)
+    hidden = masked_points(positions)
     positions = float_tensor(positions, f"{kind}.{name}")
     require_shape(positions, f"{kind}.{name}", ("moments", "points", 3))
     visible = bool_tensor(mask, f"{kind}.{mask_name}").to(positions.device)
-    same_points(kind, name, positions, mask_name, visible)
+    check_mask_shape(kind, name, positions, mask_name, visible)
     visible = visible & ~hidden
-    positions = seen_and_finite(kind, name, positions, mask_name, visible)
+    positions = hidden_as_zero(kind, name, positions, mask_name, visible)
     POSITION.check(positions.detach().cpu(), kind, name)
     refuse_other_units(kind, name, positions.detach(), visible)
     return positions, visible
@@ -98,7 +98,7 @@ def checked_std(
     return values.where(visible, 0.0), float(mean)
 
 
-def numpy_mask(values: Any) -> Tensor:
+def masked_points(values: Any) -> Tensor:
     """Mask of points that a `numpy.ma` masked array masks; a single False for other arrays."""
     if not isinstance(values, np.ma.MaskedArray):
         return torch.tensor(False)
@@ -120,7 +120,7 @@ def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
     return fps, start_time
 
 
-def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int, ...]:
+def checked_indices(kind: str, name: str, places: Any, points: int) -> tuple[int, ...]:
     """Check that there is one joint or vertex index per point; return the indices.
 
     Raises:
@@ -134,7 +134,7 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
     return places
 
 
-def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
+def camera_of_view(kind: str, camera: Camera, values: Tensor) -> Camera:
     """Check a view's camera; give it the keypoints' leading axes if it has none.
 
     Raises:
@@ -162,7 +162,7 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
     return lengthened
 
 
-def same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
+def check_mask_shape(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
     """Refuse a mask whose axes differ from those of the points, and arrays without any point."""
     if mask.shape != values.shape[:-1]:
         raise ObservationError(
@@ -176,7 +176,7 @@ def same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tens
         )
 
 
-def seen_and_finite(
+def hidden_as_zero(
     kind: str, name: str, values: Tensor, mask_name: str, visible: Tensor
 ) -> Tensor:
     """Return values set to zero where not visible; refuse NaN and infinity elsewhere."""

@@ -183,7 +183,7 @@ class BodyPoints:
         A joint does so on the bone that begins and on the one that ends there; a mean of joints
         on a bone that all of them do so on.
         """
-        kept = [self._rigid_with(row, body) for row in range(len(self.names))]
+        kept = [self._bones_rigid_with_point(row, body) for row in range(len(self.names))]
         rest = self.at_rest(body, body.template.new_zeros(body.shape_size))
         apart = torch.cdist(rest, rest)
         count = range(len(kept))
@@ -192,7 +192,7 @@ class BodyPoints:
             if a < b and kept[a] & kept[b] and float(apart[a, b]) > _MIN_REST_DISTANCE_M
         )  # fmt: skip
 
-    def _rigid_with(self, row: int, body: BodyModel) -> frozenset[int]:
+    def _bones_rigid_with_point(self, row: int, body: BodyModel) -> frozenset[int]:
         joints = self.of_joints[row].nonzero()[:, 0].tolist()
         rows = self.vertices[self.of_vertices[row] > 0]
         on = [frozenset((joint, PARENTS[joint])) for joint in joints]

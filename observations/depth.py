@@ -11,13 +11,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import (
+    camera_of_view,
     checked_clock,
     checked_positions,
-    checked_view,
 )
 from observations.matched import Discs, MatchedCloud
 from observations.start.labelled import labelled_start
-from observations.start.surface_steps import kinds_of_surfels, label_costs
+from observations.start.surface_steps import label_features, surfel_features
 from observations.surfels import Surfels, tukey
 from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
@@ -108,7 +108,7 @@ class PointCloud(Sensor):
         surfels = Surfels.of(BodyModel.load()) if surfels is None else surfels
         points, present = checked_positions("PointCloud", "points", points, "present", present)
         fps, start_time = checked_clock("PointCloud", fps, start_time)
-        view = None if camera is None else checked_view("PointCloud", camera, points)
+        view = None if camera is None else camera_of_view("PointCloud", camera, points)
         if labels is not None and labels.present.shape != present.shape:
             raise ObservationError(
                 "PointCloud: expected labels for all points, of the shape of present, "
@@ -223,10 +223,10 @@ class PointCloud(Sensor):
             allowed = are_facing_eye(middles.detach(), normals.detach(), eye)
         if self.labels is None:
             return nearest(points, present, middles, allowed)
-        costs = label_costs(self.labels)[..., seen, :, :]
+        costs = label_features(self.labels)[..., seen, :, :]
         found = nearest_alike(
             points.flatten(0, -3), present.flatten(0, -2), costs.flatten(0, -3),
-            middles.flatten(0, -3), allowed.flatten(0, -2), kinds_of_surfels(self.surfels, body),
+            middles.flatten(0, -3), allowed.flatten(0, -2), surfel_features(self.surfels, body),
         )  # fmt: skip
         return found.unflatten(0, present.shape[:-1])
 
@@ -247,22 +247,22 @@ class PointCloud(Sensor):
         place = self.camera.at(moments).T_world_camera[..., :3, 3]
         return place.expand(*self.clips, len(moments), 3)
 
-    def thinned(self, most: int) -> "PointCloud":
+    def with_at_most_points(self, most: int) -> "PointCloud":
         """Keep at most `most` points per frame, taken evenly from the unordered points."""
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
-        return self._with_points(number)
+        return self._with_numbered_points(number)
 
-    def _with_points(self, number: Tensor) -> "PointCloud":
+    def _with_numbered_points(self, number: Tensor) -> "PointCloud":
         """Return the cloud with only the points of the given indices in every frame."""
         axis = self.present.ndim - 1
 
-        def taken(values: Tensor) -> Tensor:
+        def pick(values: Tensor) -> Tensor:
             return values.index_select(axis, number.to(values.device))
 
-        labels = None if self.labels is None else self.labels.map(taken)
-        return self.derived(points=taken(self.points), present=taken(self.present), labels=labels)
+        labels = None if self.labels is None else self.labels.map(pick)
+        return self.derived(points=pick(self.points), present=pick(self.present), labels=labels)
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
         """Return a smaller version of the cloud for a quick comparison of hypotheses.
@@ -271,7 +271,7 @@ class PointCloud(Sensor):
         """
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        few = super().coarse(body, step)._with_points(number)
+        few = super().coarse(body, step)._with_numbered_points(number)
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:

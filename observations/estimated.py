@@ -41,7 +41,7 @@ class ErrorCovariance:
     seconds: float
     """Time after which its correlation has fallen to one half; it changes smoothly."""
 
-    def precision(
+    def precision_matrix(
         self,
         scale: Float[Tensor, "*batch moments"],
         segment: Float[Tensor, "*batch moments"],
@@ -103,14 +103,14 @@ class EstimatedPoints(Markers3D):
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)
         common = away.sum(-2, keepdim=True) / there.sum(-2, keepdim=True).clamp(min=1)
         own = (away - common).where(there, 0.0)
-        path, points = self._precisions
+        path, points = self._inverse_covariances
         path, points = path[..., seen, seen], points[..., seen, seen]
         slid = torch.einsum("...tpd,...pts,...spd->...", own, points, own)
         drifted = torch.einsum("...tpd,...ts,...spd->...", common, path, common)
         return 0.5 * _SCALE**2 * (slid + drifted)
 
     @cached_property
-    def _precisions(
+    def _inverse_covariances(
         self,
     ) -> tuple[
         Float[Tensor, "*batch moments moments"], Float[Tensor, "*batch points moments moments"]
@@ -122,8 +122,8 @@ class EstimatedPoints(Markers3D):
         each = torch.where(self.visible.mT, 1.0, unseen).to(seen)
         one = torch.zeros_like(anything)
         return (
-            self.path.precision(anything, one, self.fps),
-            self.own.precision(each, self.segment.mT, self.fps),
+            self.path.precision_matrix(anything, one, self.fps),
+            self.own.precision_matrix(each, self.segment.mT, self.fps),
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":

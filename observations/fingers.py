@@ -23,7 +23,7 @@ def body_points_only(names: Sequence[str]) -> bool:
     return not set(FINGER_POINTS) & set(names)
 
 
-def fingers_apart(
+def split_off_fingers(
     points: Any, positions: Any, visible: Any, std: Any
 ) -> tuple[Any, Any, Any, Any, Float[Tensor, "*batch moments 42 4"]]:
     """Split a sensor's points into body points and hand points with their visibility.

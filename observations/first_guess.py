@@ -45,19 +45,19 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if named:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
-        # imported here: only points seen by several cameras are triangulated
-        from observations.camera_paths import can_triangulate, on_first_clock, views_start
+        # imported only when several cameras see the points, which may be triangulated then
+        from observations.camera_paths import can_triangulate, views_on_one_clock, views_start
 
-        alike = on_first_clock(views)
+        alike = views_on_one_clock(views)
         if len(alike) > 1 and can_triangulate(alike):
             return FirstGuess(views_start(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)
-        return FirstGuess(_with_poses_of(posed, views[0].start(body)) if views else posed, True)
+        return FirstGuess(_posed_as(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
 
 
-def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
+def _posed_as(posed: Motion, placed: Motion) -> Motion:
     """Give motion `placed` the poses and translations of `posed`, at its own frame rate.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
@@ -86,7 +86,7 @@ def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     return tuple(one.cloud.labelled() if one.cloud else one for one in observations)
 
 
-def guessed(
+def with_first_guess(
     observations: Sequence[Sensor],
     body: BodyModel,
     start: Motion | None,

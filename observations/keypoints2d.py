@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import (
+    camera_of_view,
+    check_mask_shape,
     checked_clock,
-    checked_places,
-    checked_view,
-    numpy_mask,
-    same_points,
-    seen_and_finite,
+    checked_indices,
+    hidden_as_zero,
+    masked_points,
 )
 from observations.correspondences import BodyPoints
 from observations.fingers import checked_fingers
@@ -111,17 +111,17 @@ class Keypoints2D(PointsOfBody):
             ValueError: naming the array, what was expected and what came.
         """
         pixels, confidence = _checked_pixels(pixels, confidence)
-        checked_places("Keypoints2D", "points", points.bones, pixels.shape[-2])
+        checked_indices("Keypoints2D", "points", points.bones, pixels.shape[-2])
         fps, start_time = checked_clock("Keypoints2D", fps, start_time)
         self._set_fields(
             pixels=pixels, confidence=confidence, points=points,
-            camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
+            camera=camera_of_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
             offset_rows=offset_rows, focal_std=focal_std, level=level, unit_known=unit_known,
             lens=lens, fingers=None if fingers is None else checked_fingers(fingers, pixels, 3),
         )  # fmt: skip
 
-    def settled(self, scene: Scene) -> "Keypoints2D":
+    def with_constants_of(self, scene: Scene) -> "Keypoints2D":
         """Return the view with the scene's estimated focal length, then taken as known."""
         if self.focal_std == 0 or scene.lens is None:
             return self
@@ -148,9 +148,9 @@ class Keypoints2D(PointsOfBody):
         Twice of it is HuMoR's joints2d (section 6.5).
         """
         points, seen = super().expected(estimate)
-        part = self.settled(estimate.scene)
+        part = self.with_constants_of(estimate.scene)
         if points.shape[-3] < self.moments:
-            part = part.derived(**part.some_frames(range(seen.start, seen.stop)))
+            part = part.derived(**part.fields_at(range(seen.start, seen.stop)))
         return part.energy(points)
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
@@ -174,7 +174,7 @@ class Keypoints2D(PointsOfBody):
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
         """Project the estimate's keypoints; also return the slice of frames that it covers."""
         points, seen = super().expected(estimate)
-        camera = self.settled(estimate.scene).camera
+        camera = self.with_constants_of(estimate.scene).camera
         return camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 2"], slice]:
@@ -231,7 +231,7 @@ class Keypoints2D(PointsOfBody):
         del body, step
         return self
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
         """Whether a visible keypoint locates each joint in the image, in every frame.
 
         Detectors place legs beyond the edge of an image, too, but do not believe in them: a
@@ -239,7 +239,9 @@ class Keypoints2D(PointsOfBody):
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
         sure = self.confidence > FAINT * greatest
-        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).locates(body)
+        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).joints_located(
+            body
+        )
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose placed by the keypoints of the torso; see `image_start`."""
@@ -258,13 +260,13 @@ def _checked_pixels(
         ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
             numbers that are no pixels or no confidences.
     """
-    hidden = numpy_mask(pixels)
+    hidden = masked_points(pixels)
     pixels = float_tensor(pixels, "Keypoints2D.pixels")
     require_shape(pixels, "Keypoints2D.pixels", ("moments", "points", 2))
     confidence = float_tensor(confidence, "Keypoints2D.confidence").to(pixels)
-    same_points("Keypoints2D", "pixels", pixels, "confidence", confidence)
+    check_mask_shape("Keypoints2D", "pixels", pixels, "confidence", confidence)
     confidence = confidence.where(~hidden, 0.0)
     CONFIDENCE.check(confidence.detach().cpu(), "Keypoints2D", "confidence")
-    pixels = seen_and_finite("Keypoints2D", "pixels", pixels, "confidence", confidence > 0)
+    pixels = hidden_as_zero("Keypoints2D", "pixels", pixels, "confidence", confidence > 0)
     PIXEL.check(pixels.detach().cpu(), "Keypoints2D", "pixels")
     return pixels, confidence

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.correspondences import TRUNK, BodyPoints
-from observations.fingers import body_points_only, checked_fingers, fingers_apart
+from observations.fingers import body_points_only, checked_fingers, split_off_fingers
 from observations.points import TrackedPoints
 from observations.start.rigid import rigid_start
-from observations.start.standing import planted_path
+from observations.start.standing import planted_translations
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.arrays import Numbers
@@ -69,7 +69,7 @@ class Keypoints3D(TrackedPoints):
         """
         names = () if isinstance(points, BodyPoints) else points
         if names.endswith(HANDS) if isinstance(names, str) else not body_points_only(names):
-            points, positions, visible, std, fingers = fingers_apart(
+            points, positions, visible, std, fingers = split_off_fingers(
                 points, positions, visible, std
             )
         if isinstance(points, str):
@@ -112,13 +112,13 @@ class Keypoints3D(TrackedPoints):
 
         Keypoints without a place in the world are first moved so that the foot that stands stays.
         """
-        placed = self.positions if self.placed else self.positions + self._planted_path()
+        placed = self.positions if self.placed else self.positions + self._planted_translations()
         return rigid_start(
             body, self.at_rest(body).to(placed), self.bones(body), placed, self.visible,
             fps=self.fps, start_time=self.start_time,
         )  # fmt: skip
 
-    def _planted_path(self) -> Float[Tensor, "*batch moments 1 3"]:
+    def _planted_translations(self) -> Float[Tensor, "*batch moments 1 3"]:
         """Translations of the keypoints, per frame, metres, so that standing feet do not slide."""
         moments, count = self.visible.shape[-2:]
         every = zip(
@@ -127,7 +127,7 @@ class Keypoints3D(TrackedPoints):
             strict=True,
         )
         paths = np.stack([
-            planted_path(self.points.names, positions, visible, self.fps)
+            planted_translations(self.points.names, positions, visible, self.fps)
             for positions, visible in every
         ])  # fmt: skip
         return torch.from_numpy(paths).to(self.positions).reshape(*self.clips, moments, 1, 3)

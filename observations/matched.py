@@ -51,18 +51,18 @@ class Discs(TensorStruct):
         """Select the surface discs whose indices are in `pairs`, one for each point."""
         like, index = body.template, torch.from_numpy(surfels.vertices).to(pairs.device)
 
-        def taken(table: Float[Tensor, "discs rows"]) -> Float[Tensor, "*batch moments rows p"]:
+        def of_pairs(table: Float[Tensor, "discs rows"]) -> Float[Tensor, "*batch moments rows p"]:
             return table.mT[:, pairs].movedim(0, -2).contiguous()
 
-        by_shape = taken(body.shape_directions[index].mT.flatten(1))
+        by_shape = of_pairs(body.shape_directions[index].mT.flatten(1))
         return cls(
-            taken(body.weights[index]), taken(like[index]),
+            of_pairs(body.weights[index]), of_pairs(like[index]),
             by_shape.unflatten(-2, (-1, 3)).flatten(-2),
-            taken(torch.from_numpy(surfels.normals).to(like)),
+            of_pairs(torch.from_numpy(surfels.normals).to(like)),
             torch.from_numpy(surfels.radii).to(like)[pairs],
         )  # fmt: skip
 
-    def unposed(
+    def unposed_centres(
         self, shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch moments 3 points"]:
         """Centres of the discs on unposed bodies of given shapes, metres."""
@@ -70,7 +70,7 @@ class Discs(TensorStruct):
         away = shape[..., None, None, :] @ self.by_shape[..., :count, :]
         return self.middles + away.unflatten(-1, self.middles.shape[-2:])[..., 0, :, :]
 
-    def by_shape_along(
+    def derivatives_by_shape(
         self,
         along: Float[Tensor, "*batch moments 3 points"],
         unposed: Float[Tensor, "*batch moments 3 points"],
@@ -127,7 +127,7 @@ class _PointsBesideDiscs:
         return cls(unposed, maps, length, normals, offsets, height, beyond, squared)
 
     @property
-    def pull(self) -> Float[Tensor, "*batch moments 3 points"]:
+    def half_gradient(self) -> Float[Tensor, "*batch moments 3 points"]:
         """Half the derivative of squared distances d² by offsets e: (1 - q) h n + q e, metres."""
         level = ((1 - self.beyond) * self.height)[..., None, :]
         return level * self.normals + self.beyond[..., None, :] * self.offsets
@@ -145,7 +145,7 @@ class _SquaredDistances(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor | None, None, None]:
         found, discs = ctx.found, ctx.discs
         gradient = 2 * gradients[0][..., None, :]
-        placed = -gradient * found.pull
+        placed = -gradient * found.half_gradient
         across = found.offsets - found.height[..., None, :] * found.normals
         turned = (
             gradient * ((1 - found.beyond) * found.height / found.length)[..., None, :] * across
@@ -221,11 +221,11 @@ class MatchedCloud(TensorStruct):
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch covered points"], "MatchedCloud"]:
         """Squared distances of points, metres², and the part of the cloud that they belong to."""
-        covered, bones, unposed = self._carried(estimate)
+        covered, bones, unposed = self._covered_bones_and_discs(estimate)
         squared = _SquaredDistances.apply(bones, unposed, covered.points, covered.discs)
         return squared.where(covered.present, 0.0), covered
 
-    def _carried(
+    def _covered_bones_and_discs(
         self, estimate: Estimate
     ) -> tuple[
         "MatchedCloud",
@@ -233,18 +233,18 @@ class MatchedCloud(TensorStruct):
         Float[Tensor, "*batch covered 3 points"],
     ]:
         """The cloud in frames that the motion covers, bone transforms there, and unposed discs."""
-        bones, covered = self._at_own_times(
-            _maps_of_bones(estimate).flatten(-3, -2), estimate.motion
+        bones, covered = self._at_own_frames(
+            _bone_transforms(estimate).flatten(-3, -2), estimate.motion
         )
-        unposed = covered.discs.unposed(estimate.body.shape)
+        unposed = covered.discs.unposed_centres(estimate.body.shape)
         if estimate.body.model.pose_directions is not None:
             vertices = torch.from_numpy(self.surfels.vertices).to(bones.device)
-            every, _ = self._at_own_times(estimate.body.pose_offsets(vertices), estimate.motion)
+            every, _ = self._at_own_frames(estimate.body.pose_offsets(vertices), estimate.motion)
             pick = covered.pairs[..., None].expand(*covered.pairs.shape, 3)
             unposed = unposed + every.gather(-2, pick).mT
         return covered, bones.unflatten(-2, (-1, 4)), unposed
 
-    def _at_own_times(
+    def _at_own_frames(
         self, values: Float[Tensor, "*batch time rows 3"], motion: Motion
     ) -> tuple[Float[Tensor, "*batch covered rows 3"], "MatchedCloud"]:
         """Resample a motion's values to the cloud's frames that it covers; return both there."""
@@ -269,14 +269,14 @@ class MatchedCloud(TensorStruct):
         """
         motion, scene = model.motion, model.estimate.scene[model.clip]
         estimate = Estimate(Decoded(motion), model.body.pose(motion), scene)
-        one, bones, unposed = self[model.clip]._carried(estimate)
+        one, bones, unposed = self[model.clip]._covered_bones_and_discs(estimate)
         discs, found = one.discs, _PointsBesideDiscs.of(one.points, one.discs, bones, unposed)
         with torch.enable_grad():
             squared = found.squared.where(one.present, 0.0).requires_grad_()
             (slope,) = torch.autograd.grad(one._energy(squared), squared)
         distance = found.squared.sqrt()[..., None, :]
         along = torch.where(
-            distance < _LEAST, found.normals, found.pull / distance.clamp(min=_LEAST)
+            distance < _LEAST, found.normals, found.half_gradient / distance.clamp(min=_LEAST)
         )
         foot = one.points - distance * along
         place = [
@@ -291,7 +291,7 @@ class MatchedCloud(TensorStruct):
             shifts = _shifts_by_shape(orientations, model.body, motion.shape.shape[-1])
             if scene.ground is not None:
                 shifts = scene.ground.T_world_recording[:3, :3].mT @ shifts
-            shaped = discs.by_shape_along(along, pulled, shifts)
+            shaped = discs.derivatives_by_shape(along, pulled, shifts)
         if scene.ground is not None:
             T = scene.ground.T_world_recording
             along, foot = T[:3, :3] @ along, T[:3, :3] @ foot + T[:3, 3:]
@@ -338,7 +338,7 @@ def _shifts_by_shape(
     return joints_by_shape(orientations, body, count) - orientations @ directions
 
 
-def _maps_of_bones(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
+def _bone_transforms(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
     """The bones' transforms (`PosedBody.bones`) from rest pose to the recording's frame."""
     bones, scene = estimate.body.bones, estimate.scene
     if scene.ground is None:

@@ -15,7 +15,7 @@ Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
 
 
-def as_streamed(given: Any) -> Tracker:
+def checked_for_stream(given: Any) -> Tracker:
     """Check that a stream can use a sensor; remove its clip axis and make it single precision.
 
     Raises:
@@ -75,27 +75,27 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
 
 def frames_between(sensor: Tracker, start: int, stop: int) -> Tracker:
     """Return the frames `start` to `stop` - 1 of a sensor; `start_time` does not change."""
-    return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
+    return sensor.derived(**sensor.map_frames(lambda tensor: tensor[start:stop]))
 
 
-def collapsed(moment: Tracker) -> bool:
+def points_coincide(moment: Tracker) -> bool:
     """Whether most visible points coincide, as when a tracker has lost the person."""
     places = moment.pixels if isinstance(moment, Keypoints2D) else moment.positions
     shown = places[moment.shown]
     return 2 * len(shown.unique(dim=0)) < len(shown)
 
 
-def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
+def append_frames(before: Tracker, after: Tracker) -> Tracker:
     """Append the frames of `after` to those of `before`, both of one sensor."""
-    later = iter(after.by_frame(lambda tensor: tensor).values())
-    return before.derived(**before.by_frame(lambda tensor: torch.cat((tensor, next(later)))))
+    later = iter(after.map_frames(lambda tensor: tensor).values())
+    return before.derived(**before.map_frames(lambda tensor: torch.cat((tensor, next(later)))))
 
 
-def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
+def replace_frame(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
     """Replace frame `row` of a sensor by a one-frame sensor; append it if `row` is the end."""
     later = frames_between(sensor, row + 1, sensor.moments)
-    return joined_in_time(
-        joined_in_time(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later
+    return append_frames(
+        append_frames(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later
     )
 
 
@@ -104,7 +104,7 @@ def with_points_hidden(
 ) -> Tracker:
     """Return the sensor with points in `bad` marked as not seen; None hides all points."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
-    kept = sensor.by_frame(
+    kept = sensor.map_frames(
         lambda x: x.masked_fill(bad if x.ndim == bad.ndim else bad[..., None], 0)
     )
     return sensor.derived(**kept)

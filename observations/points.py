@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.checks import checked_clock, checked_places, checked_positions, checked_std
+from observations.checks import checked_clock, checked_indices, checked_positions, checked_std
 from observations.noise import estimate_noise
-from observations.start.rigid import limbs_towards, rigid_start
+from observations.start.rigid import rigid_start, with_limbs_towards_points
 from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, cached_constant
@@ -25,7 +25,7 @@ from recon.method.sensor import Sensor
 
 if TYPE_CHECKING:
     from observations.correspondences import BodyPoints
-else:  # only annotations name BodyPoints: at run time its module need not be loaded
+else:  # at run time Any replaces BodyPoints, whose module need not be imported
     from typing import Any as BodyPoints
 
 OFFSET_UNIT = 0.05
@@ -100,7 +100,7 @@ class PointsOfBody(Sensor):
         own = self.offset_unit * offsets[slice(*self.offset_rows)]
         return found.displaced(self.bones(body), own)
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
         """Whether some visible point locates each joint, in every frame."""
         located_joints = torch.from_numpy(self.located_joints(body)).to(self.shown.device)
         tells = located_joints.to(torch.get_default_dtype())
@@ -186,7 +186,7 @@ class TrackedPoints(PointsOfBody):
         """
         kind = type(self).__name__
         positions, visible = checked_positions(kind, "positions", positions, "visible", visible)
-        numbers = checked_places(kind, *places, positions.shape[-2])
+        numbers = checked_indices(kind, *places, positions.shape[-2])
         fps, start_time = checked_clock(kind, *clock)
         if exist is not None:
             visible = visible & exist.to(visible.device)
@@ -284,7 +284,7 @@ class TrackedPoints(PointsOfBody):
             body, rest, bones, self.positions, self.visible, fps=self.fps,
             start_time=self.start_time,
         )  # fmt: skip
-        return limbs_towards(start, body, rest, bones, self.positions, self.visible)
+        return with_limbs_towards_points(start, body, rest, bones, self.positions, self.visible)
 
 
 def quadratic_model(

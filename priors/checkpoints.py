@@ -66,18 +66,18 @@ class Checkpoint:
         }
         return Checkpoint(self.path, others, self.settings)
 
-    def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
-        """Return the integer settings `names`; the settings `words` must have the given texts.
+    def integer_settings(self, *names: str, least: int = 1, **texts: str) -> list[int]:
+        """Return the integer settings `names`; the settings `texts` must be as given.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
         """
         found = [self.settings.get(name) for name in names]
         right = [size for size in found if isinstance(size, int) and size >= least]
-        told = {name: self.settings.get(name) for name in words}
-        if len(right) < len(found) or told != words:
+        told = {name: self.settings.get(name) for name in texts}
+        if len(right) < len(found) or told != texts:
             expected = [f"{name} ({least} or more)" for name in names]
-            expected += [f"{name} = {word!r}" for name, word in words.items()]
+            expected += [f"{name} = {word!r}" for name, word in texts.items()]
             raise WeightsError(
                 f"{self.path}: expected the settings {', '.join(expected)}, got "
                 f"{dict(self.settings)}; weights of other versions must be trained anew"

@@ -14,7 +14,7 @@ from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
 from recon.reading.images import keypoints_of
-from recon.simulation.images import dome, keypoints2d
+from recon.simulation.images import camera_ring, keypoints2d
 from recon.simulation.points import Corruption
 
 NOISE = 3.0
@@ -45,7 +45,7 @@ def turned(motion: Motion, angle: float) -> Motion:
 
 def cameras(motion: Motion, count: int = 1, first: float = 0.0) -> tuple[Camera, ...]:
     """Full HD cameras evenly around the walk."""
-    return dome(motion, bundled(), full_hd_camera(), count, first=first)
+    return camera_ring(motion, bundled(), full_hd_camera(), count, first=first)
 
 
 def view(

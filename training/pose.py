@@ -15,7 +15,7 @@ from torch import Tensor
 from priors.pose.prior import COORDINATES, ROTATIONS, PoseDensity
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
-from training.recordings import poses
+from training.recordings import poses_of
 from training.run import LOG
 from training.settings import CorpusSettings, settings_to_store
 from training.weights import save_checkpoint
@@ -44,11 +44,11 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
     if len(learned) == 0:
         raise ValueError(f"{settings.corpus}: holds no clip to learn from")
 
-    rotations = poses(learned, settings.rate, settings.most)[:, 1:]
+    rotations = poses_of(learned, settings.rate, settings.most)[:, 1:]
     density = fit_density(rotations, settings.floor, BodyModel.load())
     LOG.info("trained on %d poses: %.2f nats per pose", len(rotations), score(density, rotations))
     if len(held_out) > 0:
-        unseen = poses(held_out, settings.rate, settings.most)[:, 1:]
+        unseen = poses_of(held_out, settings.rate, settings.most)[:, 1:]
         LOG.info("%d poses of held-out people: %.2f nats", len(unseen), score(density, unseen))
 
     tensors = {name: tensor.float() for name, tensor in density.tensors().items()}

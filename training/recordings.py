@@ -28,7 +28,7 @@ def mirrored_rotations(
     return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
 
 
-def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
+def poses_of(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
     """Sample `rate` poses per second from all clips; add the mirror image of each.
 
     No subject gives more than about `most` (before mirroring), taken evenly from all its clips:

@@ -147,7 +147,7 @@ class Run(Generic[S, N]):
         )
 
     @property
-    def parts(self) -> tuple[tuple[int, float], ...]:
+    def steps_and_rates(self) -> tuple[tuple[int, float], ...]:
         """Steps and learning rate of every part of the run, one after the other."""
         return ((self.settings.steps, self.settings.rate),)
 
@@ -189,7 +189,7 @@ class Run(Generic[S, N]):
 
     def train_to_end(self) -> Path:
         """Train to the end; returns the path of the checkpoint."""
-        settings, steps = self.settings, sum(length for length, _ in self.parts)
+        settings, steps = self.settings, sum(length for length, _ in self.steps_and_rates)
         LOG.info("from step %d of %d", self.step, steps)
         saved = began = time.monotonic()
         first = self.step
@@ -210,9 +210,11 @@ class Run(Generic[S, N]):
     def rate(self) -> float:
         """The learning rate of the next step: each part warms up and falls along a cosine."""
         here = self.step
-        for length, most in self.parts:
+        for length, most in self.steps_and_rates:
             if here < length:
-                return most * cosine(here / length) * min(1.0, (here + 1) / self.warm_up_steps)
+                return (
+                    most * cosine_decay(here / length) * min(1.0, (here + 1) / self.warm_up_steps)
+                )
             here -= length
         return 0.0
 
@@ -246,7 +248,7 @@ class Run(Generic[S, N]):
             self._write_state(BEST)
 
 
-def cosine(progress: float) -> float:
+def cosine_decay(progress: float) -> float:
     """Factor of a learning rate that falls from 1 to a hundredth as progress goes from 0 to 1."""
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress))
 

@@ -14,7 +14,7 @@ from benchmarks.slips.points import Seen
 from benchmarks.slips.recordings import Recording, observed
 from recon.core.camera import Camera
 from recon.core.motion import Motion
-from recon.simulation.images import orbiting
+from recon.simulation.images import orbiting_camera
 
 Spoil = Callable[[Recording, float], tuple[Seen, ...]]
 """Function that returns the observations of a recording after a mistake of a given size."""
@@ -141,7 +141,7 @@ def carried_camera(recording: Recording, degrees: float) -> tuple[Seen, ...]:
     """Carry a phone around the person by an angle, and declare it fixed."""
     middle = recording.body.pose(recording.truth).joints.flatten(0, 1).mean(0)
     radians = math.radians(degrees)
-    moving = orbiting(recording.cameras[0], middle, recording.truth.frames, radians)
+    moving = orbiting_camera(recording.cameras[0], middle, recording.truth.frames, radians)
     first = recording.cameras[0].replace(T_camera_world=moving.T_camera_world)
     return _declared(recording, first, 0)
 

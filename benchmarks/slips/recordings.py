@@ -10,7 +10,7 @@ from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import stack
 from recon.method.sensor import Sensor as Seen
-from recon.simulation.images import dome
+from recon.simulation.images import camera_ring
 from recon.simulation.points import Corruption, joints3d, markers3d
 
 Sensor = Literal["joints3d", "markers3d", "camera", "cameras"]
@@ -70,7 +70,7 @@ def observed(
 def cameras_of(sensor: Sensor, truth: Motion, body: BodyModel, seed: int) -> tuple[Camera, ...]:
     """Return one or three cameras around a clip, from a direction that depends on the seed."""
     count = _CAMERAS[sensor]
-    return dome(truth, body, full_hd_camera(), count, first=2.4 * seed) if count else ()
+    return camera_ring(truth, body, full_hd_camera(), count, first=2.4 * seed) if count else ()
 
 
 def recording_of(

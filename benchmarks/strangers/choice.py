@@ -11,7 +11,7 @@ from recon.benchmark.dataset import clip_files, is_flat
 from recon.benchmark.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
-from training.humor.corpus import described_action, kind_of
+from training.humor.corpus import described_action, kind_of_motion
 
 FRAMES = 60
 RUN_FRAMES = 30
@@ -45,7 +45,7 @@ def chosen(
     """
     files = clip_files(corpus)
     own = {
-        clip: kind_of(described_action(files[clip]))
+        clip: kind_of_motion(described_action(files[clip]))
         for clip, part in fold.splits.parts(list(files)).items()
         if part == "validation" and fold.splits.has_open_licence(clip)
     }

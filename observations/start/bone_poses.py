@@ -28,7 +28,7 @@ _HANGING = BELOW.nonzero(as_tuple=True)
 """All pairs of a joint and one that is the same or hangs from it."""
 
 
-def gradient_by_turns(
+def gradient_by_rotations(
     bones: Float[Tensor, "rows 22 3 4"], force: Float[Tensor, "rows 22 3 4"]
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 22 3"]]:
     """Gradient of an energy of bone poses by translation and by joint rotations (world axes)."""
@@ -44,7 +44,7 @@ def gradient_by_turns(
     return push.sum(1), below @ twist - torch.linalg.cross(bones[..., 3], hung)
 
 
-def hessian_by_turns(
+def hessian_by_rotations(
     bones: Float[Tensor, "rows 22 3 4"], stiffness: Float[Tensor, "rows 22 4 4"]
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3 66"], Float[Tensor, "rows 66 66"]]:
     """Gauss-Newton Hessian by translation and joint rotations (world axes), in three blocks.
@@ -146,7 +146,7 @@ class PoseSolver(TensorStruct):
         state: BonePoses,
         targets: Callable[[BonePoses], BoneTargets],
         sigmas: tuple[float, ...],
-        ties: "Springs | None",
+        penalty: "PoseChangePenalty | None",
     ) -> BonePoses:
         """The poses after one damped Gauss-Newton step per scale of the kernel, largest first.
 
@@ -158,15 +158,15 @@ class PoseSolver(TensorStruct):
             state: where to begin.
             targets: the points as they are matched with poses.
             sigmas: scales of the kernel, metres, one for each step.
-            ties: what holds neighbouring frames together; None leaves them independent.
+            penalty: on changes between neighbouring frames; None leaves them independent.
         """
-        annealed = _AnnealedPoses(self, targets, sigmas, ties)
+        annealed = _AnnealedPoses(self, targets, sigmas, penalty)
         options = GaussNewton(len(sigmas), tolerance=0.0, damping=0.0)
         return minimise(annealed, (state, 0), options)[0][0]
 
     def moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
         """Apply steps to poses; a step that would rotate or move the body too far is shortened."""
-        turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
+        turns = torch.cat((steps[:, None, 3:6], self._joint_turns(steps[:, 6:])), 1).norm(dim=-1)
         long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
         steps = steps / torch.maximum(long, far).clamp(min=1)[:, None]
@@ -177,12 +177,12 @@ class PoseSolver(TensorStruct):
             self,
         )
 
-    def _turns(self, steps: Float[Tensor, "rows 63"]) -> Float[Tensor, "rows 21 3"]:
+    def _joint_turns(self, steps: Float[Tensor, "rows 63"]) -> Float[Tensor, "rows 21 3"]:
         return (steps @ self.density.basis.mT).unflatten(-1, (ROTATIONS, 3))
 
 
 @dataclass(frozen=True)
-class Springs:
+class PoseChangePenalty:
     """Quadratic penalty on changes of pose between neighbouring frames.
 
     Of translations, root rotations and pose coordinates.
@@ -196,7 +196,7 @@ class Springs:
     coordinates: float
     """Inverse variance of the change of a coordinate z."""
 
-    def pulls(
+    def weights_and_gradients(
         self, state: BonePoses
     ) -> tuple[Float[Tensor, "between 69"], Float[Tensor, "between 69"]]:
         """Penalty weights, and the penalties' gradients by the later frame of each pair."""
@@ -222,15 +222,15 @@ class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
     solver: PoseSolver
     targets: Callable[[BonePoses], BoneTargets]
     sigmas: tuple[float, ...]
-    ties: Springs | None
+    penalty: PoseChangePenalty | None
 
     def model(self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"]) -> Quadratic:
         """Reweighted least squares linearised at the poses; one matrix holds all rows (frames)."""
         state, sigma, targets = x[0], self.sigmas[x[1]], self.targets(x[0])
         away = targets.residuals(state)
         share = sigma**2 / (sigma**2 + away.square().sum(-1))
-        force, stiffness = _moments_of_bones(targets, away, targets.weight * share.square())
-        gradient, own = _by_coordinates(state, force, stiffness, self.solver.density)
+        force, stiffness = _bone_derivatives(targets, away, targets.weight * share.square())
+        gradient, own = _derivatives_by_coordinates(state, force, stiffness, self.solver.density)
         gradient[:, 6:] += state.coordinates
         diagonal = own.diagonal(dim1=1, dim2=2)
         diagonal[:, 6:] += 1
@@ -239,8 +239,8 @@ class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
         lost = ~gradient.isfinite().all(-1)
         gradient[lost], own[lost] = 0.0, torch.eye(own.shape[-1])
         inner = own[:, None]
-        if self.ties is not None:
-            weight, pull = self.ties.pulls(state)
+        if self.penalty is not None:
+            weight, pull = self.penalty.weights_and_gradients(state)
             gradient[:-1] -= pull
             gradient[1:] += pull
             diagonal[:-1] += weight
@@ -303,7 +303,7 @@ def _aligned_rigidly(
     return there - (turn @ here[..., None])[..., 0], turn
 
 
-def _moments_of_bones(
+def _bone_derivatives(
     targets: BoneTargets,
     away: Float[Tensor, "rows points 3"],
     weight: Float[Tensor, "rows points"],
@@ -320,7 +320,7 @@ def _moments_of_bones(
     return sums[..., :12].unflatten(-1, (3, 4)), sums[..., 12:].unflatten(-1, (4, 4))
 
 
-def _by_coordinates(
+def _derivatives_by_coordinates(
     state: BonePoses,
     force: Float[Tensor, "rows 22 3 4"],
     stiffness: Float[Tensor, "rows 22 4 4"],
@@ -328,8 +328,8 @@ def _by_coordinates(
 ) -> tuple[Float[Tensor, "rows 69"], Float[Tensor, "rows 69 69"]]:
     """Gradient and Gauss-Newton Hessian by translation, root rotation (world axes) and z."""
     bones = state.bones
-    pull, turning = gradient_by_turns(bones, force)
-    mass, across, between = hessian_by_turns(bones, stiffness)
+    pull, turning = gradient_by_rotations(bones, force)
+    mass, across, between = hessian_by_rotations(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
     # Jacobian of all rotations by the root's and by pose coordinates z, which turn joints by B z

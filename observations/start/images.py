@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, nearest_placed, rest_pose_at
+from observations.start.rigid import TORSO, nearest_placed_frames, rest_pose_at
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -75,7 +75,7 @@ def image_start(
 
     misfit, centre = _weak_perspective(pixels, weight, seen)
     chosen = smooth_path(misfit.where(placed[..., None], 0.0), angles, fps)
-    nearest = nearest_placed(placed)
+    nearest = nearest_placed_frames(placed)
     chosen = chosen.gather(-1, nearest)
     pick = chosen[..., None]
     distance = bone_distance(points, rest, pixels, confidence, camera)
@@ -101,12 +101,12 @@ def bone_distance(
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
     length, push the body away (section 6.2). Where no bone is seen, the median of the others.
     """
-    scale = bone_scale(points.names, rest, pixels, confidence)
+    scale = pixels_per_metre(points.names, rest, pixels, confidence)
     focal = camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
     return focal.expand(scale.shape) / scale
 
 
-def bone_scale(
+def pixels_per_metre(
     names: Sequence[str],
     rest: Float[Tensor, "points 3"],
     pixels: Float[Tensor, "batch time points 2"],

@@ -15,8 +15,8 @@ from torch import Tensor
 from observations.start.bone_poses import (
     BonePoses,
     BoneTargets,
+    PoseChangePenalty,
     PoseSolver,
-    Springs,
     placed_rigidly,
 )
 from observations.start.surface_steps import SeenSurface, misfits_of_frames
@@ -65,7 +65,7 @@ _CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 
 
 @dataclass(frozen=True)
-class _PosedFrames:
+class _FramesToPose:
     """Clouds of the frames of one clip, about ten per second, in which a pose is fitted."""
 
     number: Int[Tensor, " rows"]
@@ -117,7 +117,8 @@ def labelled_start(
         with_one_batch_axis(points).cpu(), with_one_batch_axis(present).cpu(), eyes, strict=True
     )
     clips = [
-        tracker.tracked(cloud, here, known[k], at, fps) for k, (cloud, here, at) in enumerate(seen)
+        tracker.tracked_poses(cloud, here, known[k], at, fps)
+        for k, (cloud, here, at) in enumerate(seen)
     ]
 
     def joined(values: list[Tensor]) -> Tensor:
@@ -156,7 +157,7 @@ class _PoseTracker:
         solver = PoseSolver(body.joint_template, density)
         return cls(body, solver, cover, body.template[index], bone, region)
 
-    def tracked(
+    def tracked_poses(
         self,
         points: Float[Tensor, "moments points 3"],
         present: Bool[Tensor, "moments points"],
@@ -180,19 +181,19 @@ class _PoseTracker:
         posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
         path = self._cheapest_hypotheses(moments, posed, readings[0])
         rows = path * len(moments.number) + torch.arange(len(path))
-        ties = Springs(
+        penalty = PoseChangePenalty(
             torch.ones(len(path) - 1, dtype=torch.bool),
             place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
         )  # fmt: skip
         held = surface.rows(rows)
         found = held.refined_to_surface(
-            posed[rows], self.solver, targets[rows], _STEP_SCALES, ties
+            posed[rows], self.solver, targets[rows], _STEP_SCALES, penalty
         )
         return interpolated_poses(
             found.translation, found.rotations, moments.number, torch.arange(count)
         )
 
-    def _targets(self, moments: _PosedFrames, signs: tuple[int, int, int]) -> BoneTargets:
+    def _targets(self, moments: _FramesToPose, signs: tuple[int, int, int]) -> BoneTargets:
         """The points with their places on bones under one hypothesis of the labels."""
         labels = _labels_of_hypothesis(moments.labels, signs)
         place, region = labels.places, labels.region.clamp(min=0)
@@ -223,7 +224,7 @@ class _PoseTracker:
         return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
     def _cheapest_hypotheses(
-        self, moments: _PosedFrames, posed: BonePoses, found: BoneTargets
+        self, moments: _FramesToPose, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
         """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
         rows, readings = len(moments.number), len(_READINGS)
@@ -243,13 +244,13 @@ class _PoseTracker:
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
         cost = misfit + _AGAINST * contradicted + _LABELS * share
         cost = cost.view(readings, rows).mT
-        change = _costs_of_changes(posed, readings, moments.seconds)
+        change = _costs_of_changing_hypothesis(posed, readings, moments.seconds)
         return cheapest_path(cost[None], change)[0]
 
 
 def _frames_to_pose(
     points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
-) -> _PosedFrames | None:
+) -> _FramesToPose | None:
     """Select about ten frames per second with enough points; None if there are none."""
     enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
     number = enough.nonzero()[:, 0]
@@ -268,16 +269,16 @@ def _frames_to_pose(
     )
     pick = order.argsort(-1, descending=True)[:, :_POINTS]
 
-    def taken(values: Tensor) -> Tensor:
+    def selected(values: Tensor) -> Tensor:
         some = values[number]
         index = pick if some.ndim == 2 else pick[..., None].expand(*pick.shape, some.shape[-1])
         return some.gather(1, index)
 
-    return _PosedFrames(
+    return _FramesToPose(
         number,
-        taken(points).float(),
-        taken(present),
-        labels.map(taken),
+        selected(points).float(),
+        selected(present),
+        labels.map(selected),
         None if eye is None else eye[number].float(),
         number.diff() / fps,
     )
@@ -292,12 +293,12 @@ def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> P
     return labels.derived(places=place, regions=regions)
 
 
-def _costs_of_changes(
-    posed: BonePoses, readings: int, seconds: Float[Tensor, " between"]
+def _costs_of_changing_hypothesis(
+    posed: BonePoses, hypotheses: int, seconds: Float[Tensor, " between"]
 ) -> Float[Tensor, "between readings readings"]:
     """Cost, by speed, of changing from each hypothesis of a frame to each of the next frame."""
-    root = posed.root.unflatten(0, (readings, -1)).transpose(0, 1)
-    joints = posed.joints.unflatten(0, (readings, -1)).transpose(0, 1)
+    root = posed.root.unflatten(0, (hypotheses, -1)).transpose(0, 1)
+    joints = posed.joints.unflatten(0, (hypotheses, -1)).transpose(0, 1)
     joints = joints - joints[..., :1, :]
     before, after = root[:-1, :, None], root[1:, None]
     spin = so3.geodesic_angle(*torch.broadcast_tensors(before, after)) / seconds[:, None, None]

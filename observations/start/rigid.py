@@ -51,7 +51,7 @@ def rigid_start(
     # a point p of the body at rest moves to R (p - pelvis) + pelvis + translation
     turned = (turn @ (rest_centre - pelvis)[..., None])[..., 0]
     translation = centre - turned - pelvis
-    nearest = nearest_placed(placed)
+    nearest = nearest_placed_frames(placed)
     translation = translation.take_along_dim(nearest[..., None], -2)
     turn = turn.take_along_dim(nearest[..., None, None], -3)
     none = (~placed.any(-1))[..., None, None]
@@ -69,10 +69,10 @@ def rest_pose_at(
     start_time: float,
 ) -> Motion:
     """The average body in its rest pose, with given translations and rotations of its root."""
-    others = torch.eye(3).to(root).expand(*root.shape[:-2], 21, 3, 3)
+    unrotated = torch.eye(3).to(root).expand(*root.shape[:-2], 21, 3, 3)
     return Motion(
         translation=translation,
-        rotations=torch.cat((root[..., None, :, :], others), -3),
+        rotations=torch.cat((root[..., None, :, :], unrotated), -3),
         shape=root.new_zeros(*root.shape[:-3], body.shape_size),
         valid=torch.ones_like(translation[..., 0], dtype=torch.bool),
         fps=fps,
@@ -80,7 +80,7 @@ def rest_pose_at(
     )
 
 
-def nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
+def nearest_placed_frames(placed: Bool[Tensor, "*batch time"]) -> Tensor:
     """For every frame, index of the nearest frame in time for which `placed` is true."""
     frames = placed.shape[-1]
     index = torch.arange(frames, device=placed.device).expand(placed.shape)
@@ -105,7 +105,7 @@ _REST_STIFFNESS_M2 = 0.01
 """How strongly a bone keeps its rest rotation about what the points do not tell, metres²."""
 
 
-def limbs_towards(
+def with_limbs_towards_points(
     start: Motion,
     body: BodyModel,
     rest: Float[Tensor, "points 3"],
@@ -150,7 +150,7 @@ def limbs_towards(
         identity = torch.eye(3).to(spread)
         turn = so3.nearest_rotation(spread.double() + _REST_STIFFNESS_M2 * identity).to(positions)
         seen = used.any(-1)
-        turn = turn.take_along_dim(nearest_placed(seen)[..., None, None], -3)
+        turn = turn.take_along_dim(nearest_placed_frames(seen)[..., None, None], -3)
         turn = torch.where(seen.any(-1)[..., None, None, None], turn, identity)
         rotations[..., joint, :, :] = turn
         turned[joint], places[joint] = turned[parent] @ turn, place

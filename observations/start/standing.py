@@ -16,7 +16,7 @@ _LOWER = 0.02
 """Metres by which the other foot must be lower to take the weight over."""
 
 
-def planted_path(
+def planted_translations(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.start.bone_poses import BonePoses, BoneTargets, PoseSolver, Springs
+from observations.start.bone_poses import BonePoses, BoneTargets, PoseChangePenalty, PoseSolver
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.networks import squared_distances
@@ -32,7 +32,7 @@ validation windows with a fifth of the labels wrong, joints that are seen are 4.
 labels do not count, and 5.6 and more where they count six times as much."""
 
 
-def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
+def label_features(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
     """Features of labelled points; times those of surfels they give the cost of a match."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
@@ -41,8 +41,8 @@ def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
     return sure * torch.cat((place, size, region), -1)
 
 
-def kinds_of_surfels(surfels: Surfels, body: BodyModel) -> Float[Tensor, "surfels 16"]:
-    """Features of surfels whose product with `label_costs` is the cost of matching a point."""
+def surfel_features(surfels: Surfels, body: BodyModel) -> Float[Tensor, "surfels 16"]:
+    """Features of surfels whose product with `label_features` is the cost of matching a point."""
     index = torch.from_numpy(surfels.vertices).to(body.template.device)
     regions = Regions.of(body)
     place = regions.places[index]
@@ -82,9 +82,9 @@ class SeenSurface:
         eye: Float[Tensor, "rows 3"] | None,
     ) -> "SeenSurface":
         """Collect points, with the cost of matching each with every surface disc by its label."""
-        kinds = kinds_of_surfels(cover, body)
+        kinds = surfel_features(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
-        costs = label_costs(labels)
+        costs = label_features(labels)
         return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
@@ -101,7 +101,7 @@ class SeenSurface:
         solver: PoseSolver,
         labelled: BoneTargets,
         sigmas: tuple[float, ...],
-        springs: Springs | None,
+        springs: PoseChangePenalty | None,
     ) -> BonePoses:
         """Refine poses by a Gauss-Newton step per kernel scale, with new closest points each time.
 
@@ -146,7 +146,7 @@ def _motion_of_poses(state: BonePoses, body: BodyModel) -> Motion:
 
 _HALF_COUNTED = 0.1
 """Scale in metres of the distance of a point from the surface: at this one, half counts."""
-_BESIDE = 0.08
+_SIGHT_RADIUS_M = 0.08
 """Metres at the body within which a point stands for a line of sight."""
 _BEFORE = 0.12
 """Metres that a surface may be nearer to the sensor than the points along its line of sight."""
@@ -196,6 +196,6 @@ def misfits_of_frames(
     best = cosine.max(-1)
     lateral = (2 - 2 * best.values.clamp(max=1)).sqrt() * depth
     before = far.gather(-1, best.indices) - depth > _BEFORE
-    against = shown & ((lateral > _BESIDE) | before)
+    against = shown & ((lateral > _SIGHT_RADIUS_M) | before)
     share = against.sum(-1) / shown.sum(-1).clamp(min=1)
     return misfit, share.to(misfit)

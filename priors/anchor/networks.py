@@ -129,8 +129,8 @@ def load_weights(path: str | Path) -> AnchorWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "anchor")
-    latent, shape, size = found.sizes("latent", "shape", "basis", alignment=ALIGNMENT)
-    (width,) = found.sizes("width", least=0)
+    latent, shape, size = found.integer_settings("latent", "shape", "basis", alignment=ALIGNMENT)
+    (width,) = found.integer_settings("width", least=0)
     basis = CycleBasis(**found.with_prefix(_BASIS).require({
         "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),
         "deviation": (size,),

@@ -251,11 +251,11 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         self, variables: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
     ) -> Float[Tensor, "*batch time"]:
         """Fractional anchor index of every frame: 0 at the cycle's begin, 99 at its end."""
-        clock = (
+        seconds = (
             torch.arange(variables.valid.shape[-1], dtype=rows.dtype, device=rows.device)
             / variables.fps
         )
-        since = clock - BEGIN * variables.begin[..., None]
+        since = seconds - BEGIN * variables.begin[..., None]
         return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
 
     def _T_world_cycle(self, variables: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import at_tempo, contact_probabilities, on_network_clock, posed_states
+from priors.humor.state import at_tempo, contact_probabilities, posed_states, relabelled_at_30_hz
 from priors.humor.steps import (
     ERROR,
     SPAN,
@@ -159,7 +159,7 @@ class Collocation(Prior[PoseVariables]):
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
         posed = humor.body.pose(motion)
-        states = posed_states(on_network_clock(motion), posed.joints)
+        states = posed_states(relabelled_at_30_hz(motion), posed.joints)
         pelvis = humor.pelvis(motion.shape)
         found = posterior_outputs(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]
@@ -223,23 +223,23 @@ class Collocation(Prior[PoseVariables]):
         whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         if all_joints_located(data, self.humor.body):
             return whole
-        # imported here: fits in which every joint is seen need no network for limbs
-        from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
+        # imported only when some joints may be hidden for a while
+        from priors.look.looking import UnseenLimbProposals, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
             return whole
         network = load_network(device=self.humor.body.template.device)
-        limbs = replace(limbs, proposals=LookedLimbs(network, unseen))
+        limbs = replace(limbs, proposals=UnseenLimbProposals(network, unseen))
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
-        # imported here: only fits with limbs that are never seen need it
-        from priors.humor.likely import LikelyStates, time_factor
+        # imported only when limbs are never seen
+        from priors.humor.likely import LikelyStates, slowing_factor
         from recon.physics.support import SupportEnergy
 
         carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
-        read = replace(self, tempo=time_factor(data))
+        read = replace(self, tempo=slowing_factor(data))
         all_terms = (*feet.terms, carried, likely)
         limbs = replace(limbs, prior=read, terms=all_terms, second_order=preconditioned)
         longer = replace(last, tolerance_decrease=1e-4)
@@ -252,7 +252,7 @@ def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (located := term.energy.locates(body)) is not None
+        and (located := term.energy.joints_located(body)) is not None
         and bool((share_of_frames(located) >= _MIN_SEEN_SHARE).all())
         for term in data
     )

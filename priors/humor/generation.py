@@ -14,7 +14,7 @@ from priors.humor.state import (
     Frame,
     State,
     contact_probabilities,
-    distinct_features,
+    independent_features,
     posed_joints,
     state_after_step,
     states_of,
@@ -53,7 +53,7 @@ class FootingSettings:
     lowered: float = 0.1
     """Share of the height of the lower foot by which a body that does not fly is lowered."""
 
-    def selected(
+    def selected_draws(
         self,
         before: State,
         after: State,
@@ -72,20 +72,20 @@ class FootingSettings:
         speed = (after.joints - before.joints)[:, FEET].square().sum(-1) * REFERENCE_FPS**2
         rests = foot_energy(height, speed).amin(-1)
         sunk = (-height - _SUNK).amax(-1).clamp(min=0) / _SUNK_SCALE
-        nats = _carried_share(before, after) * rests + 0.5 * sunk.square()
+        nats = _share_carried(before, after) * rests + 0.5 * sunk.square()
         likely = (-self.strictness * nats).unflatten(0, (-1, self.draws)).softmax(-1)
         chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(
             contact_heights.device
         )
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
-    def grounded(
+    def lowered_towards_ground(
         self, before: State, after: State, contact_heights: Float[Tensor, "clips 4"]
     ) -> State:
         """Return states moved vertically so that the lowest foot comes nearer to the ground."""
         lower = (after.joints[:, FEET, 2] - contact_heights).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
-        lowered = self.lowered * _carried_share(before, after) * (lower - _ABOVE).clamp(min=0)
+        lowered = self.lowered * _share_carried(before, after) * (lower - _ABOVE).clamp(min=0)
         up = after.translation.new_tensor([0.0, 0.0, 1.0])
         shift = (raised - lowered)[:, None] * up
         return after.replace(
@@ -93,7 +93,7 @@ class FootingSettings:
         )
 
 
-def _carried_share(before: State, after: State) -> Float[Tensor, " all"]:
+def _share_carried(before: State, after: State) -> Float[Tensor, " all"]:
     """Share of the body's weight that the ground carries, from the pelvis' acceleration."""
     rise = (after.joints - before.joints)[:, 0, 2] * REFERENCE_FPS
     return carried_share((rise - before.velocity[:, 2]) * REFERENCE_FPS)
@@ -190,9 +190,9 @@ def roll_from(
         if footing is not None:
             if draws > 1:
                 assert random is not None
-                selected = footing.selected(before, after, low, random)
+                selected = footing.selected_draws(before, after, low, random)
                 after, touched = after[selected], touched[selected]
-            after = footing.grounded(states[-1], after, touching)
+            after = footing.lowered_towards_ground(states[-1], after, touching)
         states.append(after)
         logits.append(touched)
 
@@ -319,7 +319,7 @@ def first_states(
     Raises:
         ValueError: when the mixture is over other numbers than ours.
     """
-    if not torch.equal(initial.features.cpu(), distinct_features()):
+    if not torch.equal(initial.features.cpu(), independent_features()):
         raise ValueError(
             "first states can be drawn only from a mixture over the independent features of a "
             "state; that of HuMoR's released weights is over all features: take the weights open"

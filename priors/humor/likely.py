@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import canonical_state, initial_features, on_network_clock, posed_states
+from priors.humor.state import canonical_state, initial_features, posed_states, relabelled_at_30_hz
 from priors.humor.steps import RARITY, heavy_tailed
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
@@ -30,7 +30,7 @@ _SPEED_SPAN_S = 0.5
 matters."""
 
 
-def time_factor(data: Sequence[Term]) -> float:
+def slowing_factor(data: Sequence[Term]) -> float:
     """Factor, at most 1, by which fast motions are slowed down for the networks.
 
     √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
@@ -75,7 +75,7 @@ class LikelyStates(TensorStruct):
         """
         motion = estimate.motion
         humor = self.humor.like(motion.translation)
-        states = posed_states(on_network_clock(motion), estimate.body.joints)
+        states = posed_states(relabelled_at_30_hz(motion), estimate.body.joints)
         states = canonical_state(states, humor.pelvis(motion.shape)[:, None])
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]

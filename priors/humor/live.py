@@ -27,7 +27,7 @@ they are too short for fast motions, with half of it many do not descend (valida
 
 
 @dataclass(frozen=True)
-class JudgedSteps:
+class EnergyOfSteps:
     """Energy of the steps of a window of frames under HuMoR, and the predicted contacts."""
 
     energy: Float[Tensor, ""]
@@ -61,9 +61,9 @@ class LiveSteps:
         """Weights of the pose density and of smoothness, to use with the energy of steps."""
         return self.weights.pose
 
-    def judged(
+    def step_energy(
         self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int
-    ) -> JudgedSteps:
+    ) -> EnergyOfSteps:
         """The energy of all steps in which at least one moving frame takes part.
 
         Args:
@@ -85,7 +85,7 @@ class LiveSteps:
             + weights.latents * heavy_tailed(surprise, SURPRISE).sum()
             + 0.5 * weights.contact_velocity * slip
         )
-        return JudgedSteps(
+        return EnergyOfSteps(
             energy,
             contacts.detach(),
             float(error.detach().mean()),
@@ -95,7 +95,7 @@ class LiveSteps:
     def add_curvature(
         self,
         motion: Motion,
-        judged: JudgedSteps,
+        evaluated: EnergyOfSteps,
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
@@ -103,7 +103,7 @@ class LiveSteps:
 
         Args:
             motion: of the window, without a batch axis.
-            judged: what the networks say of it.
+            evaluated: what the networks say of it.
             hessian: by the variables of all frames.
             of_joints: coefficients of `Banded.add_products` for the coordinates of joints.
         """
@@ -111,8 +111,8 @@ class LiveSteps:
         bundled_curvature(motion.translation.device).add(
             motion,
             hessian,
-            _MEAN_HESSIAN_SHARE * weights.step / (1 + judged.error / ERROR),
-            _MEAN_HESSIAN_SHARE * weights.latents / (1 + judged.surprise / SURPRISE),
+            _MEAN_HESSIAN_SHARE * weights.step / (1 + evaluated.error / ERROR),
+            _MEAN_HESSIAN_SHARE * weights.latents / (1 + evaluated.surprise / SURPRISE),
         )
-        held = weights.contact_velocity * judged.contacts[1:]
+        held = weights.contact_velocity * evaluated.contacts[1:]
         add_differences(of_joints, (-1.0, 1.0), held.repeat_interleave(3, -1))

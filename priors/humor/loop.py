@@ -39,23 +39,23 @@ _UPRIGHT = 1e-12
 """Added to the right side's x, so that a body lying on its side has a heading: none."""
 
 
-def _first_indices(velocity: int, spin: int, joints: int) -> list[int]:
+def _starts_of_vectors(velocity: int, spin: int, joints: int) -> list[int]:
     """First index of every vector in a packed state or raw step."""
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
 
-def _loop_order(starts: list[int], height: int, *others: range) -> list[int]:
-    order = [start + axis for axis in range(3) for start in starts]
+def _indices_in_loop_order(vector_starts: list[int], height: int, *others: range) -> list[int]:
+    order = [start + axis for axis in range(3) for start in vector_starts]
     return [*order, height, *(place for places in others for place in places)]
 
 
-_STATE_STARTS, _RAW_STARTS = _first_indices(3, 15, 207), _first_indices(3, 9, 75)
+_STATE_STARTS, _RAW_STARTS = _starts_of_vectors(3, 15, 207), _starts_of_vectors(3, 9, 75)
 
-STATE_ORDER = torch.tensor(_loop_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
+STATE_ORDER = torch.tensor(_indices_in_loop_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
 """Indices of the loop's numbers in a packed state."""
 
 _RAW_ORDER = torch.tensor(
-    _loop_order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
+    _indices_in_loop_order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
 )
 
 
@@ -143,7 +143,7 @@ def _last_layer_in_loop_order(rows: Float[Tensor, "outputs ..."]) -> Float[Tenso
 
 
 @dataclass(frozen=True)
-class HeadingTurn:
+class HeadingRotation:
     """Computes the rotation about the vertical that brings a state to its canonical frame.
 
     The body's right side along +x.
@@ -154,7 +154,7 @@ class HeadingTurn:
     """The matrix that maps (c, s) to (c, s, -s, c)."""
 
     @classmethod
-    def like(cls, tensor: Tensor) -> "HeadingTurn":
+    def like(cls, tensor: Tensor) -> "HeadingRotation":
         """Make the rotation's constants in a tensor's precision and on its device."""
         quarters = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0))
         like = (tensor.device, tensor.dtype)
@@ -175,7 +175,7 @@ class HeadingTurn:
 
 
 @dataclass(frozen=True)
-class Unrolled:
+class RolledOutSteps:
     """States and raw steps of a roll-out, each in the canonical frame of its step's start."""
 
     inputs: Float[Tensor, "steps batch 337"]
@@ -187,13 +187,13 @@ class Unrolled:
     """Half of the rotation vectors, the translation's horizontal move, contact logits."""
 
 
-def _unrolled(
+def _rolled_out(
     decoder: FrozenDecoder,
     start: Float[Tensor, "batch 337"],
     added: Float[Tensor, "steps batch all_outputs"],
-) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
+) -> tuple[RolledOutSteps, list[Float[Tensor, "steps batch _"]]]:
     """Roll out all steps from a canonical state; also return every hidden layer's outputs."""
-    turn = HeadingTurn.like(start)
+    turn = HeadingRotation.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
     for each in zip(*(part.unbind(0) for part in decoder.split_by_layer(added)), strict=True):
@@ -209,7 +209,7 @@ def _unrolled(
         parts = (level.flatten(1), vectors[:, LEVEL:], root.flatten(1), turns.flatten(1)[:, 6:])
         x = torch.cat(parts, 1)
     inputs, vectors, turns, rest, *units = (torch.stack(r) for r in zip(*records, strict=True))
-    return Unrolled(inputs, vectors, turns, rest), units
+    return RolledOutSteps(inputs, vectors, turns, rest), units
 
 
 def _rotated_by_twice(
@@ -226,21 +226,21 @@ def _rotated_by_twice(
 assert len(STATE_ORDER) == STATE - 2
 
 
-def unroll_given(
+def roll_out_with_biases(
     decoder: FrozenDecoder,
     start: Float[Tensor, "batch 337"],
     added: Float[Tensor, "steps batch all_outputs"],
-) -> Unrolled:
+) -> RolledOutSteps:
     """Roll out steps from a canonical state with given biases of layers; differentiable once."""
-    return Unrolled(*_Unroll.apply(start, added, decoder))
+    return RolledOutSteps(*_RollOut.apply(start, added, decoder))
 
 
-class _Unroll(torch.autograd.Function):
+class _RollOut(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, start: Tensor, biases: Tensor, decoder: FrozenDecoder
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        made, activations = _unrolled(decoder, start, biases)
+        made, activations = _rolled_out(decoder, start, biases)
         ctx.decoder = decoder
         ctx.save_for_backward(made.inputs, made.turns, made.rest, *activations)
         return made.inputs, made.vectors, made.turns, made.rest
@@ -253,8 +253,8 @@ class _Unroll(torch.autograd.Function):
         inputs, turns, rest, *units = ctx.saved_tensors
         decoder: FrozenDecoder = ctx.decoder
         layers = [_LayerBackward.of(decoder, k, values) for k, values in enumerate(units)][::-1]
-        exponential, jacobian = _turned_adjoints(rest[..., :SPIN].unflatten(-1, (-1, 3)))
-        to_own = HeadingTurn.like(turns)(turns).mT
+        exponential, jacobian = _adjoints_of_rotation(rest[..., :SPIN].unflatten(-1, (-1, 3)))
+        to_own = HeadingRotation.like(turns)(turns).mT
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
@@ -342,7 +342,7 @@ class _LayerBackward:
         return self.gradients[-1]
 
 
-def _turned_adjoints(
+def _adjoints_of_rotation(
     half: Float[Tensor, "steps batch 22 3"],
 ) -> tuple[Float[Tensor, "steps joints 3 3"], Float[Tensor, "steps joints 3 3"]]:
     """Transposed derivatives of R' = Exp(2 h) R by R and h, where 2 h is a rotation vector.
@@ -378,5 +378,5 @@ def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
     """Derivatives of the heading angle by x and y of the root rotation's first column."""
-    x, y = HeadingTurn.like(turns).right_side(turns).unbind(-1)
+    x, y = HeadingRotation.like(turns).right_side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

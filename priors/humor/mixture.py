@@ -63,7 +63,7 @@ class Mixture(TensorStruct):
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
-        from recon.formats.opening import load_arrays  # imported here: only authors' files need it
+        from recon.formats.opening import load_arrays  # imported only for authors' files
 
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")

@@ -35,7 +35,7 @@ class GroupNorm(nn.GroupNorm):
         normal = functional.layer_norm(groups, groups.shape[2:], eps=self.eps).flatten(1)
         return torch.addcmul(self.bias, normal, self.weight)
 
-    def rectified(self, x: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
+    def norm_and_relu(self, x: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
         """Normalise the input and apply a ReLU; faster when weights need no gradient."""
         if self.weight.requires_grad:
             return self(x).relu()
@@ -86,12 +86,12 @@ class Perceptron(nn.Module):
 
     def forward(self, x: Float[Tensor, "rows inputs"]) -> Float[Tensor, "rows outputs"]:
         """Apply all layers; the last one has neither normalisation nor nonlinearity after it."""
-        again = x[:, x.shape[1] - self.skip :]
+        skipped = x[:, x.shape[1] - self.skip :]
         for k, layer in enumerate(self.net):
             if isinstance(layer, GroupNorm):
-                x = layer.rectified(x)
+                x = layer.norm_and_relu(x)
             elif isinstance(layer, nn.Linear):
-                x = layer(torch.cat((x, again), 1) if k > 0 and self.skip > 0 else x)
+                x = layer(torch.cat((x, skipped), 1) if k > 0 and self.skip > 0 else x)
         return x
 
 

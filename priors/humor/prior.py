@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from priors.humor.live import LiveSteps
     from priors.humor.loop import FrozenDecoder
     from priors.humor.unrolled import HumorVariables
-else:  # only annotations name HumorVariables: at run time its module need not be loaded
+else:  # at run time Any replaces HumorVariables, whose module need not be imported
     from typing import Any as HumorVariables
 
 _LOG = logging.getLogger(__name__)
@@ -159,7 +159,7 @@ class Humor(Prior[HumorVariables]):
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
-        from priors.humor.unrolled import decoded_motion  # imported here: only roll-outs need it
+        from priors.humor.unrolled import decoded_motion  # imported only for roll-outs
 
         return decoded_motion(self.like(variables.translation), variables)
 

@@ -177,7 +177,7 @@ class Shooting(Prior[HumorVariables]):
         always = (
             *data,
             Term("transition", prior_energy("transition"), w.transition),
-            Term("initial", _per_first_frames(prior_energy("initial")), w.initial),
+            Term("initial", _scaled_by_first_frames(prior_energy("initial")), w.initial),
             Term("shape", shape, w.shape),
             Term("consistency", joint_consistency, w.consistency),
             Term("bones", bone_length, w.bones),
@@ -215,7 +215,7 @@ class Shooting(Prior[HumorVariables]):
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:
     """The variables of the first 15 frames, which the first phase is fitted to."""
-    return variables.first(FIRST_FRAMES)
+    return variables.first_frames(FIRST_FRAMES)
 
 
 def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
@@ -232,6 +232,6 @@ def _ground_energy_per_frame(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return ground_moved(estimate) * frames
 
 
-def _per_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
+def _scaled_by_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
     """Multiply an energy by the number of frames / 15, as the published second phase does."""
     return lambda estimate: energy(estimate) * (estimate.motion.valid.sum(-1) / FIRST_FRAMES)

@@ -193,7 +193,7 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
     return motion.resample(steps / seconds)
 
 
-def on_network_clock(motion: Motion) -> Motion:
+def relabelled_at_30_hz(motion: Motion) -> Motion:
     """Return the motion's frames unchanged with the rate set to 30 Hz, as networks read them."""
     return motion.replace(fps=REFERENCE_FPS)
 
@@ -253,7 +253,7 @@ def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
     return torch.cat(parts, -1)
 
 
-def distinct_features() -> Int[Tensor, " features"]:
+def independent_features() -> Int[Tensor, " features"]:
     """Indices of `initial_features` that cannot be computed from other features.
 
     The pelvis is where the rest pelvis is, horizontally, and moves as the translation does.

@@ -15,9 +15,9 @@ from priors.humor.loop import (
     STATE_ORDER,
     VECTORS,
     FrozenDecoder,
-    HeadingTurn,
-    Unrolled,
-    unroll_given,
+    HeadingRotation,
+    RolledOutSteps,
+    roll_out_with_biases,
 )
 from priors.humor.networks import STATE
 from priors.humor.state import (
@@ -76,7 +76,7 @@ class HumorVariables(TensorStruct):
             base=torch.cat((turn[:, None] @ self.base[:, :1], self.base[:, 1:]), 1),
         )
 
-    def first(self, frames: int) -> "HumorVariables":
+    def first_frames(self, frames: int) -> "HumorVariables":
         """Return the variables of the first `frames` frames of the motion."""
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
 
@@ -112,7 +112,7 @@ def decoded_motion(humor: Any, variables: HumorVariables) -> Decoded:
     mean, log_variance = humor.networks.prior(rollout.inputs)
     away = (variables.latents - mean).square() * (-log_variance).exp()
     nats = 0.5 * (away + log_variance + _LOG_TWO_PI).sum(-1)
-    motion = _motion(first, states, variables.shape, variables.start_time)
+    motion = _motion_of_states(first, states, variables.shape, variables.start_time)
     return Decoded(
         motion=motion.replace(valid=variables.valid),
         energies={
@@ -162,7 +162,7 @@ def _latents_along(
     return torch.stack(latents, 1)
 
 
-def _motion(
+def _motion_of_states(
     first: State, states: State, shape: Float[Tensor, "clips shape"], start_time: float
 ) -> Motion:
     roots = torch.cat((first.root[:, None], states.root), 1)
@@ -189,7 +189,7 @@ class Rollout(TensorStruct):
     headings: Float[Tensor, "batch steps 2"]
     """Unit vector (rx, ry) to the right of the body there."""
 
-    def frames(self, first: Frame) -> Frame:
+    def canonical_frames(self, first: Frame) -> Frame:
         """The canonical frame of every step in the world, given the frame of the first step.
 
         Headings add up, and each step's horizontal move, turned by the headings before it.
@@ -208,7 +208,7 @@ class Rollout(TensorStruct):
 
     def in_world(self, first: Frame, pelvis: Float[Tensor, "batch 3"]) -> State:
         """All states in the world, given the canonical frame of the first state."""
-        return self.frames(first).from_frame(self.states, pelvis[:, None])
+        return self.canonical_frames(first).from_frame(self.states, pelvis[:, None])
 
 
 def roll_out(
@@ -226,10 +226,10 @@ def roll_out(
         latents: of every step.
     """
     added = decoder.constant_inputs(latents.transpose(0, 1), pelvis)
-    return _rollout(unroll_given(decoder, _to_loop_layout(start, pelvis), added), pelvis)
+    return _rollout(roll_out_with_biases(decoder, _to_loop_layout(start, pelvis), added), pelvis)
 
 
-def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
+def _rollout(steps: RolledOutSteps, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
     _, move, contacts = (t.transpose(0, 1) for t in steps.rest.split((SPIN, 2, 9), -1))
     reached, turns = steps.vectors.transpose(0, 1), steps.turns.transpose(0, 1)
     translation = torch.cat((move, reached[..., -1:]), -1)
@@ -245,28 +245,28 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
         joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
     )
     inputs = _from_loop_layout(steps.inputs.transpose(0, 1), pelvis[:, None])
-    return Rollout(inputs, states, contacts, HeadingTurn.like(turns).heading(turns))
+    return Rollout(inputs, states, contacts, HeadingRotation.like(turns).heading(turns))
 
 
 def _to_loop_layout(
     packed: Float[Tensor, "batch 339"], pelvis: Float[Tensor, "batch 3"]
 ) -> Float[Tensor, "batch 337"]:
     """Rearrange a canonical state to the layout of `FrozenDecoder`."""
-    return (packed - _joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
+    return (packed - _state_with_joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
 
 
 def _from_loop_layout(
     x: Float[Tensor, "*batch 337"], pelvis: Float[Tensor, "*#batch 3"]
 ) -> Float[Tensor, "*batch 339"]:
     """The inverse of `_to_loop_layout`."""
-    return functional.pad(x, (0, 2))[..., _PLACES.to(x.device)] + _joints_at(pelvis)
+    return functional.pad(x, (0, 2))[..., _PLACES.to(x.device)] + _state_with_joints_at(pelvis)
 
 
 _PLACES = torch.cat((STATE_ORDER, torch.arange(2))).argsort()
 """Indices of a packed state's numbers in the loop's layout, which is followed by two zeros."""
 
 
-def _joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:
+def _state_with_joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:
     """Return a packed state with all joints at one position and all other entries zero."""
     joints = 3 * len(JOINTS)
     return functional.pad(torch.cat([place] * len(JOINTS), -1), (STATE - 2 * joints, joints))

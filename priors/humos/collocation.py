@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humos.frames import BodyFrames
-from priors.humos.prior import FPS, Humos, frames_at_rate
+from priors.humos.prior import FPS, Humos, count_at_network_rate
 from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -109,7 +109,7 @@ class CollocatedHumos(Prior[PoseVariables]):
 @lru_cache(maxsize=16)
 def _linear_resampling(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
     """Matrix that linearly resamples rows at `fps` to 20 Hz and repeats the last row beyond it."""
-    coarse = frames_at_rate(frames, fps)
+    coarse = count_at_network_rate(frames, fps)
     place = (torch.arange(coarse) * (fps / FPS)).clamp(max=frames - 1)
     before = place.floor().long().clamp(max=max(frames - 2, 0))
     share = place - before

@@ -59,7 +59,7 @@ class BodyFrames(TensorStruct):
         """Return the features of a motion's frames, and T_world_frames of its first frame."""
         posed = body.pose(motion)
         heading = _headings(motion)
-        turn = turn_of(heading)
+        turn = rotation_about_vertical(heading)
         seen = turn.mT[..., None, :, :] @ posed.orientations
         first = turn[..., 0, :, :]
         pelvis = posed.joints[..., 0, :]
@@ -82,7 +82,7 @@ class BodyFrames(TensorStruct):
         base: Float[Tensor, "*batch 4 4"],
     ) -> Motion:
         """Return the motion of a body of given shape; `base` is T_world_frames of its start."""
-        turn = base[..., None, :3, :3] @ turn_of(self.direction)
+        turn = base[..., None, :3, :3] @ rotation_about_vertical(self.direction)
         world = turn[..., None, :, :] @ self.orientations
         local = world[..., list(PARENTS[1:]), :, :].mT @ world[..., 1:, :, :]
         rotations = torch.cat((world[..., :1, :, :], local), -3)
@@ -107,7 +107,7 @@ class BodyFrames(TensorStruct):
         bones = rest[..., 1:, :] - rest[..., PARENTS[1:], :]
         turned = self.orientations[..., list(PARENTS[1:]), :, :] @ bones[..., None, :, :, None]
         from_pelvis = _bones_above_joints().to(rest) @ turned[..., 0]
-        world = from_pelvis @ turn_of(self.direction).mT
+        world = from_pelvis @ rotation_about_vertical(self.direction).mT
         legs = leg_length(body, shape)[..., None, None]
         return world + pad(self.place * legs, (0, 1))[..., None, :]
 
@@ -156,7 +156,7 @@ def _headings(motion: Motion) -> Float[Tensor, "*batch time 2"]:
     return torch.where(length > 1e-6, mean / length.clamp(min=1e-6), fallback)
 
 
-def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]:
+def rotation_about_vertical(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]:
     """Return the rotation matrix about the vertical for a given (cosine, sine)."""
     c, s = direction.unbind(-1)
     zero, one = torch.zeros_like(c), torch.ones_like(c)

@@ -206,7 +206,7 @@ def load_weights(path: str | Path) -> HumosWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "humos")
-    latent, size, shape, width, layers, frames = found.sizes(*_SIZES, codes=CODES_OF)
+    latent, size, shape, width, layers, frames = found.integer_settings(*_SIZES, codes=CODES_OF)
     numbers = WINDOW * NUMBERS
     basis = LappedBasis(**found.with_prefix(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),

@@ -20,7 +20,7 @@ from priors.humos.frames import (
     existing_windows,
     lever_lengths,
     lowest_heights,
-    turn_of,
+    rotation_about_vertical,
     window_count,
 )
 from priors.humos.networks import HumosWeights, load_weights
@@ -127,7 +127,7 @@ class Humos(Prior[HumosVariables]):
         Raises:
             ValueError: when the clips are longer than networks of one code per clip know.
         """
-        coarse = at_rate(motion)
+        coarse = at_network_rate(motion)
         frames, base = BodyFrames.of(coarse, self.body)
         exists = self.exists(motion.valid, motion.fps)
         with torch.no_grad():
@@ -145,7 +145,7 @@ class Humos(Prior[HumosVariables]):
             fps=motion.fps,
             start_time=motion.start_time,
         )
-        return self._with_details(plain, motion)
+        return self._corrected_towards(plain, motion)
 
     def decode(self, variables: HumosVariables) -> Decoded:
         """Return the motion in the clip's frames, and the parts of -log p.
@@ -153,7 +153,7 @@ class Humos(Prior[HumosVariables]):
         `latent` is that of codes following each other, `shape` and `details` are half squared
         Mahalanobis distances.
         """
-        made = self.frames(variables)
+        made = self.decoded_frames(variables)
         waves = _scaled_cosines(made.clearance.shape[-1], variables.fps)[0].to(variables.bend)
         steps = (waves @ variables.bend.flatten(-2)).unflatten(-1, (-1, 3))
         shift = waves @ variables.shift
@@ -177,11 +177,11 @@ class Humos(Prior[HumosVariables]):
             motion.replace(valid=variables.valid, start_time=variables.start_time), energies
         )
 
-    def frames(self, variables: HumosVariables) -> BodyFrames:
+    def decoded_frames(self, variables: HumosVariables) -> BodyFrames:
         """Frames decoded from the latent codes without details, relative to the first frame."""
         count = variables.valid.shape[-1]
         codes = self.weights.density.codes(variables.latent)
-        coarse = frames_at_rate(count, variables.fps)
+        coarse = count_at_network_rate(count, variables.fps)
         exists = self.exists(variables.valid, variables.fps)
         rows = self.weights.networks.decode(codes, variables.shape, exists, coarse)
         return BodyFrames.unpack(spline_matrix(coarse, count, variables.fps).to(rows) @ rows)
@@ -205,14 +205,14 @@ class Humos(Prior[HumosVariables]):
         made = BodyFrames.unpack(rows)
         return made.motion(shape, self.body, FPS, base)
 
-    def _with_details(self, variables: HumosVariables, motion: Motion) -> HumosVariables:
+    def _corrected_towards(self, variables: HumosVariables, motion: Motion) -> HumosVariables:
         """Set `bend` and `shift` of the variables so that they decode to the given motion."""
         made, posed, base = (
-            self.frames(variables),
+            self.decoded_frames(variables),
             self.body.pose(motion),
             self._T_world_start(variables),
         )
-        turn = base[..., None, :3, :3] @ turn_of(made.direction)
+        turn = base[..., None, :3, :3] @ rotation_about_vertical(made.direction)
         own = (turn[..., None, :, :] @ made.orientations).mT
         steps = so3.log(own @ posed.orientations) / _sizes_of_corrections().to(posed.joints)
         legs = leg_length(self.body, motion.shape)[..., None]
@@ -235,7 +235,7 @@ class Humos(Prior[HumosVariables]):
     ) -> Bool[Tensor, "*batch windows"]:
         """Mask of windows with at least one valid frame."""
         count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil().long() + 1
-        return existing_windows(count, frames_at_rate(valid.shape[-1], fps))
+        return existing_windows(count, count_at_network_rate(valid.shape[-1], fps))
 
 
 @lru_cache(maxsize=1)
@@ -244,14 +244,14 @@ def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
     return _BEND / lever_lengths()[:, None]
 
 
-def frames_at_rate(frames: int, fps: float) -> int:
+def count_at_network_rate(frames: int, fps: float) -> int:
     """Number of frames at 20 Hz that cover a given number at another rate."""
     return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
 
 
-def at_rate(motion: Motion) -> Motion:
+def at_network_rate(motion: Motion) -> Motion:
     """The motion resampled to 20 Hz; the last frame is repeated to fill the last interval."""
-    count = frames_at_rate(motion.frames, motion.fps)
+    count = count_at_network_rate(motion.frames, motion.fps)
     times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
     return motion.at(times.clamp(max=float(motion.times[-1])), FPS)
 

@@ -207,7 +207,7 @@ class CloudLabeller:
     ) -> PointLabels:
         """Label all points of a sequence of clouds, using frames up to 0.6 s around each frame.
 
-        A few hundred points of a person are as many as it takes: give `PointCloud.thinned` clouds.
+        A few hundred points of a person are enough: see `PointCloud.with_at_most_points`.
 
         Args:
             points: positions, metres; zero where not present.

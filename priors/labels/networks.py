@@ -44,7 +44,7 @@ def kernel_weights(
     return exponent.softmax(-1)
 
 
-def spread_points(
+def farthest_point_samples(
     points: Float[Tensor, "moments points 3"],
     present: Bool[Tensor, "moments points"],
     count: int,
@@ -143,7 +143,7 @@ _WIDEST = 0.15
 from it there, and anywhere when posed."""
 
 
-def from_right_to_left(
+def direction_from_right_to_left(
     points: Float[Tensor, "moments points 3"],
     places: Float[Tensor, "moments points 3"],
     weights: Float[Tensor, "moments points"],
@@ -204,7 +204,7 @@ class SeenClouds(TensorStruct):
         """Inputs (0 or 1): whether z points up, and whether a sensor's place is known."""
         return torch.stack((self.level, self.has_eye), -1).to(self.points)[:, None]
 
-    def view(self, places: Float[Tensor, "moments places 3"]) -> Tensor:
+    def directions_to_sensor(self, places: Float[Tensor, "moments places 3"]) -> Tensor:
         """Unit vectors from given places to the sensor; zero where no sensor is known."""
         return normalize(self.eyes[:, None] - places, dim=-1) * self.has_eye[:, None, None]
 
@@ -228,7 +228,7 @@ class RawLabels(TensorStruct):
     one where they do not know."""
 
 
-class Layer(nn.Module):
+class AttentionLayer(nn.Module):
     """A transformer layer: attention between tokens, then a network applied to each token."""
 
     def __init__(self, width: int) -> None:
@@ -273,9 +273,9 @@ class LabelNetwork(nn.Module):
             nn.Linear(_TOKEN, _TOKEN),
         )  # fmt: skip
         self.whole = nn.Parameter(torch.zeros(_TOKEN))
-        self.layers = nn.ModuleList(Layer(_TOKEN) for _ in range(_LAYERS))
+        self.layers = nn.ModuleList(AttentionLayer(_TOKEN) for _ in range(_LAYERS))
         self.step = nn.Parameter(0.02 * torch.randn(STEPS, _TOKEN))
-        self.moments = Layer(_TOKEN)
+        self.moments = AttentionLayer(_TOKEN)
         self.learned = nn.Linear(_TOKEN, _TOKEN)
         self.across = nn.Sequential(nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, 3))
         self.sureness = nn.Parameter(torch.tensor(3.0))
@@ -305,7 +305,7 @@ class LabelNetwork(nn.Module):
         points = clouds.points
         # distances are computed in single precision even where training uses bfloat16
         with torch.no_grad(), torch.autocast(points.device.type, enabled=False):
-            pick = spread_points(points, clouds.present, _CENTRES)
+            pick = farthest_point_samples(points, clouds.present, _CENTRES)
             centres = points.take_along_dim(pick[..., None], -2)
             squared = squared_distances(centres, points)
             near, wide = (
@@ -318,7 +318,7 @@ class LabelNetwork(nn.Module):
             # the token of the whole frame has distance zero to all others
             between = torch.nn.functional.pad(squared_distances(centres, centres), (1, 0, 1, 0))
         flags = clouds.flags.expand(*points.shape[:-1], 2)
-        own = self.point(torch.cat((points, clouds.view(points), flags), -1))
+        own = self.point(torch.cat((points, clouds.directions_to_sensor(points), flags), -1))
         pooled = around @ own
         mine = own.take_along_dim(pick[..., None], -2)
         tokens = self.centre(torch.cat((described, pooled, mine), -1))
@@ -337,7 +337,7 @@ class LabelNetwork(nn.Module):
         log_std = (log_std[..., 0] - 3).clamp(_LEAST_STD, _MOST_STD)
         on_body, across = on_body[..., 0], self.across(tokens).float()
         weights = on_body.detach().sigmoid() * clouds.present
-        told_so = from_right_to_left(points, places.detach(), weights)
+        told_so = direction_from_right_to_left(points, places.detach(), weights)
         sides = self.sureness * (across[:, 0] * told_so).sum(-1)
         return RawLabels(regions, on_body, places, log_std, sides, across)
 
@@ -353,7 +353,7 @@ def _surface_features(
     clouds: SeenClouds, centres: Tensor, near: Patch, wide: Patch
 ) -> tuple[Float[Tensor, "moments centres numbers"], Float[Tensor, "moments centres 3"]]:
     """Network inputs that describe the surface around centres, and its normals there."""
-    view = clouds.view(centres)
+    view = clouds.directions_to_sensor(centres)
     angles = (centres[..., None] * centres.new_tensor(_WAVES)).flatten(-2)
     rows, normals = [centres, view, clouds.flags.expand(*centres.shape[:-1], 2)], []
     rows += [angles.sin(), angles.cos()]

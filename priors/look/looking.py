@@ -49,7 +49,7 @@ def load_network(weights: str | Path = "open", device: torch.device | str = "cpu
         ValueError: when they do not fit the network.
     """
     checkpoint = named_checkpoint(weights, "look")
-    shape, width, hypotheses = checkpoint.sizes("shape", "width", "hypotheses")
+    shape, width, hypotheses = checkpoint.integer_settings("shape", "width", "hypotheses")
     network = LookNetwork(shape, width, hypotheses=hypotheses)
     checkpoint.with_prefix("").copy_into(network)
     return network.eval().requires_grad_(False).to(device)
@@ -77,13 +77,13 @@ class UnseenLimbs(TensorStruct):
         does. A sensor on another clock counts by its nearest moment.
         """
         sensors = [term.energy for term in data if isinstance(term.energy, Sensor)]
-        located = [one.locates(body) for one in sensors]
+        located = [one.joints_located(body) for one in sensors]
         if len(located) == 0 or len(located) < len(data) or any(one is None for one in located):
             return None
         first = sensors[0]
         times = first.start_time + torch.arange(first.moments, dtype=torch.float64) / first.fps
         seen = torch.stack([
-            _at_times(one, sensor.fps, sensor.start_time, times)
+            _mask_at_times(one, sensor.fps, sensor.start_time, times)
             for one, sensor in zip(located, sensors, strict=True) if one is not None
         ]).any(0)  # fmt: skip
         never = _rotations_below(share_of_frames(seen) < _SELDOM)
@@ -94,9 +94,9 @@ class UnseenLimbs(TensorStruct):
         rotations |= never[:, None]
         return cls(rotations, never, first.fps, first.start_time) if rotations.any() else None
 
-    def at(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
+    def at_frames_of(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
         """Mask (frames, 22) of the unseen joint rotations of a clip, in the frames of a motion."""
-        found = _at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
+        found = _mask_at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
         return found & motion.valid[0][:, None]
 
 
@@ -117,14 +117,14 @@ def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor,
     return around.unfold(1, frames, 1).any(-1)
 
 
-def _at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Tensor:
+def _mask_at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Tensor:
     """Sample a mask (..., frames, 22) at given times (seconds) from its nearest frames."""
     frame = ((times - start_time) * fps).round().long().clamp(0, mask.shape[-2] - 1)
     return mask.index_select(-2, frame.to(mask.device))
 
 
 @dataclass(frozen=True, eq=False)
-class LookedLimbs:
+class UnseenLimbProposals:
     """Proposes motions of limbs that were not seen, for a stage (`recon.method.stages.Proposals`).
 
     The network is shown the joints of an estimate whose places are known.
@@ -140,7 +140,7 @@ class LookedLimbs:
         None where all is seen, or where what is seen is far from what the network knows.
         """
         motion, body = estimate.motion.detach(), estimate.body.model
-        unseen = self.unseen.at(motion, clip)
+        unseen = self.unseen.at_frames_of(motion, clip)
         if not bool(unseen.any()):
             return None, ""
         parents = cached_constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
@@ -160,7 +160,7 @@ class LookedLimbs:
             found.rotations[0, likely].to(motion.rotations), motion.rotations[0], ~unseen
         )
         place = found.pelvis[0, likely].to(joints) - body.rest_joints(motion.shape)[:, :1]
-        away = between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
+        away = interpolated_between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
         many = motion.map(lambda tensor: tensor.expand(len(rotations), *tensor.shape[1:]))
         many = many.replace(rotations=rotations, translation=place + away[:, :, 0])
         return many, (
@@ -207,10 +207,10 @@ def with_seen_rotations(
     The result is R exp(δ), with δ = log(Rᵀ K) where a rotation is seen, and interpolated
     elsewhere; so it is K where that is known.
     """
-    return proposed @ so3.exp(between_seen(so3.log(proposed.mT @ known), seen))
+    return proposed @ so3.exp(interpolated_between_seen(so3.log(proposed.mT @ known), seen))
 
 
-def between_seen(
+def interpolated_between_seen(
     away: Float[Tensor, "hypotheses time joints n"], seen: Bool[Tensor, "time joints"]
 ) -> Float[Tensor, "hypotheses time joints n"]:
     """Keep vectors of frames marked as seen; interpolate the other frames linearly in time.
@@ -225,8 +225,8 @@ def between_seen(
     after = following.where(following < len(seen), last).where(ever, 0)
     share = (frames - before) / (after - before).clamp(min=1)
 
-    def at(index: Tensor) -> Tensor:
+    def away_at(index: Tensor) -> Tensor:
         return away.gather(1, index[None, :, :, None].expand_as(away))
 
-    mixed = at(before).lerp(at(after), share[None, :, :, None].to(away))
+    mixed = away_at(before).lerp(away_at(after), share[None, :, :, None].to(away))
     return mixed.where(ever[:, None], 0.0)

@@ -142,7 +142,7 @@ class LookNetwork(nn.Module):
         count = shown.sum((-2, -1))[..., None] / _USUAL_POINTS
         std = (seen.std.log() + 4.0)[:, None, None].expand_as(count)
         seldom = (count == 0).to(count)
-        steps = frames.steps(seen.exists) * inside.new_tensor([30.0, 30.0, 30.0, 1.0])
+        steps = frames.steps_ahead(seen.exists) * inside.new_tensor([30.0, 30.0, 30.0, 1.0])
         return torch.cat((sums, count, std, seldom, steps), -1)
 
 

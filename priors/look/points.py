@@ -89,7 +89,7 @@ class WalkingFrames(TensorStruct):
         """World points, expressed in the walking frame of their moment."""
         return (points - self.origin[:, :, None]) @ self.turn
 
-    def steps(self, exists: Bool[Tensor, "clips time"]) -> Float[Tensor, "clips time 4"]:
+    def steps_ahead(self, exists: Bool[Tensor, "clips time"]) -> Float[Tensor, "clips time 4"]:
         """How each walking frame moves to that of the next moment.
 
         Its horizontal shift along its own two axes, metres, then sine and cosine of its rotation

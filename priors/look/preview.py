@@ -10,7 +10,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from priors.look.looking import FAMILIAR, between_seen, load_network, mean_squared_deviation
+from priors.look.looking import (
+    FAMILIAR,
+    interpolated_between_seen,
+    load_network,
+    mean_squared_deviation,
+)
 from priors.look.networks import LookNetwork
 from priors.look.points import SeenPoints
 from recon.body.model import BodyModel, forward_kinematics
@@ -43,7 +48,7 @@ _USUAL_FRAMES = 60.0
 """Frames that every clip counts as when its shape is told."""
 _MOST_FRAMES = 300
 """Frames of a clip that tell its shape, at most."""
-_ASTRAY_M = 0.3
+_OUTLIER_M = 0.3
 """Metres from the proposed motion at which a point counts by a quarter."""
 _NEAR = 4.0
 """Frames within which points tell together where the body is."""
@@ -74,13 +79,13 @@ class LookAtPoints:
         rotations, pelvis, std = _interpolated_over_gaps(
             rotations, pelvis, std, seen.visible[0].any(-1)
         )
-        placement, first = _Placement(seen, body), int(log_weight.argmax())
+        placement, first = _PlacementFit(seen, body), int(log_weight.argmax())
         own = placement.points_on_bodies(
             rotations[first], pelvis[first], body.rest_joints(shape)[None]
         )[0]
-        shape = placement.shape(rotations[first], pelvis[first], shape)
+        shape = placement.fitted_shape(rotations[first], pelvis[first], shape)
         every = zip(rotations, pelvis, strict=True)
-        moved = torch.stack([placement.pelvis(*one, shape) for one in every])
+        moved = torch.stack([placement.fitted_pelvis(*one, shape) for one in every])
         translation = moved - body.rest_joints(shape)[0]
         shapes = shape.expand(len(moved), -1)
         motions = Motion.create(translation, rotations, shapes, fps, start_time)
@@ -120,10 +125,11 @@ class LookAtPoints:
         return rotations, pelvis, shape / len(firsts), log_std.exp(), weight.log_softmax(-1)
 
 
-def _misfit_in_words(far: float) -> str:
+def _misfit_in_words(mean_square: float) -> str:
     return (
-        f"on average the points are {far**0.5:.1f} standard deviations away from what the network "
-        "proposes, so they are far from what it knows; fit them, and check their unit and names"
+        f"on average the points are {mean_square**0.5:.1f} standard deviations away from what the "
+        "network proposes, so they are far from what it knows; fit them, and check their unit and "
+        "names"
     )
 
 
@@ -152,7 +158,7 @@ def seen_points(
     fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS
     times = start + torch.arange(steps + 1, dtype=torch.float64) / fps
     places, shown = zip(
-        *(_at_times(paced(one, REFERENCE_FPS), times) for one in named), strict=True
+        *(_points_at_times(paced(one, REFERENCE_FPS), times) for one in named), strict=True
     )
     bone = torch.tensor([joint for one in named for joint in one.bones(body)])
     rest = torch.cat([one.at_rest(body) for one in named]).float()
@@ -168,7 +174,7 @@ def seen_points(
     return seen, start, fps
 
 
-def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
+def _points_at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
     """Interpolate a sensor's positions and visibility to given times (seconds)."""
     frame = (times - one.start_time) * one.fps
     last = one.moments - 1
@@ -207,8 +213,8 @@ def _interpolated_over_gaps(
     if bool(near.all()):
         return rotations, pelvis, std
     known = near[:, None]
-    six = between_seen(so3.to_6d(rotations), known.expand(-1, rotations.shape[2]))
-    place = between_seen(pelvis[:, :, None], known)[:, :, 0]
+    six = interpolated_between_seen(so3.to_6d(rotations), known.expand(-1, rotations.shape[2]))
+    place = interpolated_between_seen(pelvis[:, :, None], known)[:, :, 0]
     frames = torch.arange(len(near), dtype=torch.float32)
     away = (frames[:, None] - frames[near]).abs().amin(1) / REFERENCE_FPS
     wide = (std.square() + (_DRIFT * away[:, None]).square()).sqrt()
@@ -216,7 +222,7 @@ def _interpolated_over_gaps(
 
 
 @dataclass(frozen=True, eq=False)
-class _Placement:
+class _PlacementFit:
     """Fits shape and pelvis path of a proposed motion to the seen points."""
 
     seen: SeenPoints
@@ -235,7 +241,7 @@ class _Placement:
         joints = joints[..., bone, :] - joints[..., :1, :] + pelvis[:, None]
         return joints + (turns[..., bone, :, :] @ self.seen.offset[0, :, :, None])[..., 0]
 
-    def shape(
+    def fitted_shape(
         self,
         rotations: Float[Tensor, "time 22 3 3"],
         pelvis: Float[Tensor, "time 3"],
@@ -260,7 +266,7 @@ class _Placement:
         known = pulled @ slope.flatten(1).mT + one
         return shape + torch.linalg.solve(known, pulled @ away.flatten() - shape)
 
-    def pelvis(
+    def fitted_pelvis(
         self,
         rotations: Float[Tensor, "time 22 3 3"],
         pelvis: Float[Tensor, "time 3"],
@@ -279,5 +285,5 @@ class _Placement:
 
 def _robust_weights(away: Tensor, visible: Tensor) -> Tensor:
     """Robust weights (frames, points, 1): less the farther a point is from its prediction."""
-    near = (1 + (away.norm(dim=-1, keepdim=True) / _ASTRAY_M).square()) ** -2
+    near = (1 + (away.norm(dim=-1, keepdim=True) / _OUTLIER_M).square()) ** -2
     return near * visible[..., None]

@@ -207,7 +207,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return cls(PoseDensity(**tensors), weights)
 
     @property
-    def weighed(self) -> PoseWeights:
+    def effective_weights(self) -> PoseWeights:
         """The weights of the energies: as given to the constructor, or those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
@@ -218,7 +218,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         independent; they repeat each other, so only a share of it is believed, 1 / (1 + rarity /
         `_COMMON`): the less, the rarer poses are.
         """
-        w, precision = self.weighed, noise**-2
+        w, precision = self.effective_weights, noise**-2
         scale = (2 * w.pose * precision) ** 0.5
 
         def by_rotations(motion: Motion) -> Float[Tensor, "*batch time 63 63"]:
@@ -317,7 +317,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         del method
         fitting = self if self.weights else self.replace(weights=PoseWeights.for_noise(noise))
         fitting = fitting if body is None else fitting.to(device=body.template.device)
-        w = fitting.weighed
+        w = fitting.effective_weights
         smooth = (
             Term("velocity", joint_velocity, w.velocity),
             Term("acceleration", joint_acceleration, w.acceleration),
@@ -345,7 +345,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
     def _scales(self) -> "_VariableScales":
         """Scales of the variables: inverse square roots of the curvature of data plus prior."""
         stiffness = self.density.stiffness.double()
-        pose = stiffness[3:, 3:] + max(2 * self.weighed.pose, _SOFTEST) * torch.eye(
+        pose = stiffness[3:, 3:] + max(2 * self.effective_weights.pose, _SOFTEST) * torch.eye(
             COORDINATES, dtype=torch.float64, device=stiffness.device
         )
         turn, bend = _inverse_root(stiffness[:3, :3]), _inverse_root(pose)
@@ -375,7 +375,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         cosine = amplitude * (torch.pi * (t + 0.5) * k / count.clamp(min=1)).cos()
         rate = fps / REFERENCE_FPS
         bend = (2 - 2 * (torch.pi * k / count.clamp(min=1)).cos()) * rate**2
-        w = self.weighed
+        w = self.effective_weights
         stiffness = 1 + w.velocity * bend + w.acceleration * bend.square()
         return torch.where(inside, cosine / stiffness.sqrt(), (t == k).double())
 

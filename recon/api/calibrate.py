@@ -24,11 +24,11 @@ from recon.formats.observations import KeypointsFile
 from recon.formats.producers import is_film
 from recon.formats.writing import writing_file
 from recon.method.sensor import Sensor
-from recon.reading.clip import format_errors
+from recon.reading.clip import as_format_errors
 from recon.reading.images import keypoints_of, undistorted
 from recon.reading.places import files_of_views
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
-from recon.reading.stated import level_turn
+from recon.reading.stated import rotation_to_level
 from recon.reading.views import Views, read_views
 
 _LONGEST_SHIFT = 1.0
@@ -156,8 +156,8 @@ def calibrate(
             "image_size": image_size, "detector": detector, "detections": detections,
         }
     )  # fmt: skip
-    with format_errors():
-        views = [read_views([path], how).person(person) for path in paths]
+    with as_format_errors():
+        views = [read_views([path], how).views_of_person(person) for path in paths]
     files = _padded_keypoints_by_camera(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
@@ -258,7 +258,7 @@ def _rotation_to_z_up_and_scale(
         rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
         ups = [np.nanmean(rise, axis=(0, 1))]
     up = np.mean(ups, axis=0)
-    return level_turn(up / np.linalg.norm(up)), float(np.median(ratios))
+    return rotation_to_level(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
 def _camera_poses_and_body_height(

@@ -22,7 +22,7 @@ from recon.formats.writing import writing
 from recon.ingest.marker_naming import Naming
 from recon.ingest.marker_places import MarkedBody, bodies_of_set
 from recon.ingest.marker_sets import markers_of_set
-from recon.ingest.marker_unnamed import body_like, marker_recording, named_tracks
+from recon.ingest.marker_unnamed import body_of_named_trial, marker_recording, named_tracks
 from recon.mocap.c3d_copy import write_renamed_c3d
 from recon.mocap.marker_tables import write_motive, write_trc
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
@@ -149,7 +149,7 @@ def _marked_bodies(
             )
         return bodies_of_set(markers, body), f"the set {set}"
     trial = marker_recording(like, unit, up)
-    return [body_like(trial, body, markers)], trial.name
+    return [body_of_named_trial(trial, body, markers)], trial.name
 
 
 def _are_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from observations.first_guess import guessed
+from observations.first_guess import with_first_guess
 from recon.api.given import paths_given
 from recon.api.observations import ClipInFitFrame, clip_of, in_fit_frame, with_robust_kernel
 from recon.body.model import BodyModel
@@ -127,7 +127,7 @@ def fit_and_check(
 
             start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave
-        seen, guess = guessed(fewer, body, start, options.starting_shape)
+        seen, guess = with_first_guess(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem to solve: residuals over their noise; ground and focal length where unknown
         problem = clip_problem(seen, guess, options, body, watch)

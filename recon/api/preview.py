@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import can_triangulate, on_first_clock, triangulate
+from observations.camera_paths import can_triangulate, triangulate, views_on_one_clock
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.body.soles import ground_heights
@@ -171,7 +171,7 @@ def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     views = views_of(observations)
     if len(views) < 2 or any(one.unposed for one in views):
         return observations
-    if len(on_first_clock(views)) < len(views) or not can_triangulate(views):
+    if len(views_on_one_clock(views)) < len(views) or not can_triangulate(views):
         return observations
     first, (places, shown) = views[0], triangulate(views)
     met = Keypoints3D(

@@ -22,8 +22,8 @@ from recon.formats.outputs import Output, OutputKind
 from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
-from recon.reading.clip import clip_of_files, format_errors
-from recon.reading.icp import OrientedCloud, aligned, rough_poses
+from recon.reading.clip import as_format_errors, clip_of_files
+from recon.reading.icp import OrientedCloud, poses_aligned, rough_poses
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -117,7 +117,7 @@ def register(
         raise ObservationError(
             f"expected two or more cameras, each of a name of its own, got {', '.join(names)}"
         )
-    with format_errors():
+    with as_format_errors():
         files = [_read_points(path, camera, frame_rate, depth_scale) for path in paths]
     body = BodyModel.load()
     own = [_in_own_frame(file) for file in files]
@@ -143,7 +143,7 @@ def register(
             f"{names[int(level.argmin())]}: this camera sees no ground, so its pose "
             "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
-    found, shared = aligned(views, start, base, level)
+    found, shared = poses_aligned(views, start, base, level)
     for name, share in zip(names, shared, strict=True):
         if share < _SHARED:
             raise ObservationError(

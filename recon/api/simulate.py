@@ -21,7 +21,7 @@ from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import clip_of_files
 from recon.simulation.points import Corner, Corruption
-from recon.simulation.sensors import seen_by
+from recon.simulation.sensors import simulated_files
 from recon.simulation.settings import (
     FilmSettings,
     FurnitureName,
@@ -203,7 +203,7 @@ def simulate(
             )
         truth = truth.window(*frames)
     truth = truth if fps is None else truth.resample(positive_number(fps, "fps"))
-    files = seen_by(
+    files = simulated_files(
         truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
     )
     return Simulated(kind, files, truth, body)

@@ -12,7 +12,7 @@ import numpy as np
 from recon.formats.replacing import file_checksum, value_checksum
 from recon.mocap.asf_amc import find_skeleton
 from recon.mocap.bvh import parse_bvh
-from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.reader import bvh_texts_in_archive, read_recording
 from recon.mocap.recording import SkeletonRecording, drop_lead_in
 
 _SUFFIXES = (".bvh.xz", ".amc.xz", ".bvh", ".amc")
@@ -210,7 +210,7 @@ def contents_of_clips(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
     for archive, members in packed.items():
         missing, found = f"not in {archive.name}", dict[str, SourceClip]()
         try:
-            for inside, text in iterate_texts(archive):
+            for inside, text in bvh_texts_in_archive(archive):
                 names = (inside, _without_suffix(inside), Path(inside).stem)
                 if (member := next((name for name in names if name in members), None)) is not None:
                     found[member] = members.pop(member)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from observations.keypoints2d import Keypoints2D
 from observations.noise import estimate_noise, weights_of
-from observations.start.images import bone_scale
+from observations.start.images import pixels_per_metre
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.diagnosis.findings import stretches
@@ -194,7 +194,7 @@ def _pixels_per_metre(
 ) -> Float[np.ndarray, " moments"]:
     """Estimate pixels per metre at the body, as the median over a second around each frame."""
     place, found, at_rest = (torch.from_numpy(a) for a in (pixels, confidence, rest))
-    scale = bone_scale(points, at_rest, place[None], found[None])[0].numpy()
+    scale = pixels_per_metre(points, at_rest, place[None], found[None])[0].numpy()
     reach = min(round(_SCALE_MEDIAN_S * fps), len(scale) - 1)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(scale, reach, "edge"), 2 * reach + 1)
     return np.median(windows, -1)
@@ -242,7 +242,7 @@ def undoing_improves_fit(
     half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
     first = np.clip(changes - half, 0, moments - 2 * half).tolist()
     versions = [
-        view.derived(**view.some_frames(range(a, a + 2 * half)))
+        view.derived(**view.fields_at(range(a, a + 2 * half)))
         for view in (*images.sensors, *repaired.sensors)
         for a in first
     ]

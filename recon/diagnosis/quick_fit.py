@@ -184,4 +184,4 @@ def middle_seconds(sensor: S) -> S:
     middle = int((counts < counts[-1] / 2).sum())
     first = min(max(middle - length // 2, 0), sensor.moments - length)
     start = sensor.start_time + first / sensor.fps
-    return sensor.derived(**sensor.some_frames(range(first, first + length)), start_time=start)
+    return sensor.derived(**sensor.fields_at(range(first, first + length)), start_time=start)

@@ -49,7 +49,7 @@ class GroundLoads:
 
     def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Compare estimated with measured forces, per foot; empty without plates."""
-        return {"beside plates": self.measured.compared(self.estimated)} if self.measured else {}
+        return {"beside plates": self.measured.errors_of(self.estimated)} if self.measured else {}
 
     def report(self) -> dict[str, Any]:
         """Return the entries about forces in the report of a written file."""

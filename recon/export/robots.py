@@ -15,7 +15,7 @@ from recon.core.skeleton import JOINTS
 from recon.export.skeleton import one_clip
 from recon.formats.replacing import save_arrays
 from recon.formats.smpl import load_smpl
-from recon.ingest.transfer import MotionOnOtherBody, align, carried_rotations, transfer
+from recon.ingest.transfer import MotionOnOtherBody, aligned_at_rest, carried_rotations, transfer
 
 FPS = 30.0
 """Frames per second of written motions, the rate at which GMR's loader keeps every frame."""
@@ -116,7 +116,7 @@ def motion_on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion
     else:
         own, theirs = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
         exact = motion.to(dtype=torch.float64)
-        rest = align(own, exact.shape, theirs, count)
+        rest = aligned_at_rest(own, exact.shape, theirs, count)
         local, place = carried_rotations(exact, own, theirs, rest)
         moved = exact.replace(rotations=local, translation=place, shape=rest.shape)
         moved = moved.to(dtype=motion.translation.dtype)

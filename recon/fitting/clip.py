@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.first_guess import FirstGuess, guessed
+from observations.first_guess import FirstGuess, with_first_guess
 from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
@@ -73,7 +73,7 @@ def fit_clip(
         ValueError: when some observations know the ground and others do not, or the start does
             not fit the observations.
     """
-    seen, guess = guessed(observations, body, start, options.starting_shape)
+    seen, guess = with_first_guess(observations, body, start, options.starting_shape)
     return clip_problem(seen, guess, options, body, watch).solved()
 
 
@@ -325,7 +325,7 @@ class ClipProblem:
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
         """Return the observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
-        return tuple(one.settled(scene) for one in self.observations)
+        return tuple(one.with_constants_of(scene) for one in self.observations)
 
     def first_seconds(self) -> "ClipProblem":
         """Cut out the first seconds of the clip, as long as a window of a long recording."""

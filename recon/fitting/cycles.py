@@ -239,7 +239,7 @@ def complete(
             "them with another prior"
         )
     prior = cycle_prior(options.prior, options.weights, body)
-    seen, rows = _with_marker_offsets(tuple(o.thinned(FITTED) for o in seen))
+    seen, rows = _with_marker_offsets(tuple(o.with_at_most_points(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(o.cloud and int(o.cloud.present.sum(-1).max()) >= DENSE for o in seen)
     return _CycleCompletion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(

@@ -106,7 +106,8 @@ def complete_recording(
             "at most one frame has data, so there is no motion to fit; give two or more"
         )
     seen = [
-        one if one.places is None else on_fast_clock(one.thinned(FITTED)) for one in observations
+        one if one.places is None else on_fast_clock(one.with_at_most_points(FITTED))
+        for one in observations
     ]
     few = bool(placed) and moments_per_second(placed) < FEW
     if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humos.prior import Humos, at_rate, frames_at_rate, spline_matrix
+from priors.humos.prior import Humos, at_network_rate, count_at_network_rate, spline_matrix
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length, with_shape
@@ -163,7 +163,7 @@ def _network_proposal(
         made = prior.decode(other).motion[0]
     # translations are corrected at 20 Hz: separate corrections of all frames would cause jitter
     scaled = with_shape(window, prior.body, shape)
-    away = at_rate(made).translation - at_rate(scaled).translation
+    away = at_network_rate(made).translation - at_network_rate(scaled).translation
     height = scaled.translation + _spline_matrix(made) @ away
     return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
 
@@ -178,7 +178,7 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
         window: the same window of the motion that is retargeted.
         body: body model of both.
     """
-    coarse, source = at_rate(made), at_rate(window)
+    coarse, source = at_network_rate(made), at_network_rate(window)
     scaled = with_shape(source, body, made.shape)
     flying = flying_frames(source, body)
     stands = settled_on_ground(coarse[None], scaled[None], flying[None], body).detach()[0]
@@ -193,7 +193,7 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
 
 def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     """Return the matrix that interpolates by splines from frames at 20 Hz to a motion's frames."""
-    coarse = frames_at_rate(motion.frames, motion.fps)
+    coarse = count_at_network_rate(motion.frames, motion.fps)
     return spline_matrix(coarse, motion.frames, motion.fps).to(motion.translation)
 
 

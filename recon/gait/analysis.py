@@ -96,7 +96,7 @@ def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCyc
     return tuple(sorted(found, key=lambda cycle: cycle.strike))
 
 
-def over_cycle(
+def percent_curve(
     values: Float[np.ndarray, " time"], times: Float[np.ndarray, " time"], cycle: GaitCycle
 ) -> Float[np.ndarray, " percent"]:
     """Resample a curve at 0 %, 1 %, ... 100 % of one gait cycle, linearly between frames."""
@@ -187,7 +187,7 @@ FIGURES: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...]
 """Name, unit, factor to that unit, and value of a cycle."""
 
 
-def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
+def gait_figures(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
     """Means and standard deviations of all gait parameters, over both sides and each side."""
     found: list[GaitFigure] = []
     for name, unit, factor, value in FIGURES:
@@ -285,7 +285,7 @@ class Gait:
         values = self.angles[curve.angle(cycle.side)]
         if curve.from_heading:
             values = values - np.rad2deg(cycle.heading)
-        found = over_cycle(values, self.times, cycle)
+        found = percent_curve(values, self.times, cycle)
         if curve.from_heading:
             found = found - 360 * np.round(found.mean() / 360)
         return -found if cycle.side == curve.mirrored else found
@@ -297,7 +297,7 @@ class Gait:
         known = self.angle_std.get(curve.angle(side))
         if known is None or len(self.cycles_of(side)) == 0:
             return None
-        return np.array([over_cycle(known, self.times, one) for one in self.cycles_of(side)])
+        return np.array([percent_curve(known, self.times, one) for one in self.cycles_of(side)])
 
 
 def analyse(
@@ -332,15 +332,15 @@ def analyse(
         times=feet.times,
         stances=stances,
         cycles=cycles,
-        figures=spatio_temporal(cycles),
+        figures=gait_figures(cycles),
         angles=isb_angles(motion, body),
         angle_std=deviations,
-        unseen={} if observed is None else _shares_unseen(observed),
+        unseen={} if observed is None else _unseen_shares_by_angle(observed),
         belt=None if belt is None else float(belt.norm()),
     )
 
 
-def _shares_unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
+def _unseen_shares_by_angle(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
     seen = observed.cpu().numpy()
     shares: dict[str, float] = {}
     for curve in CURVES:

@@ -8,7 +8,7 @@ from recon.formats.outputs import Output
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # imported here: it loads torch, which other commands do not need
+    # imported only when needed, since it loads torch, which takes long
     from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)

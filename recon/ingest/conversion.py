@@ -22,7 +22,7 @@ from recon.diagnosis.findings import Finding
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
 from recon.formats.motions import save_motion
-from recon.ingest.skeleton import FittedSkeleton, solve
+from recon.ingest.skeleton import FittedSkeleton, fit_skeletons
 from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed
 from recon.mocap.recording import SkeletonRecording
@@ -96,7 +96,7 @@ def convert_skeletons(
     With `keep_frame`, motions stay where the recordings have them instead of standing on z = 0.
     """
     soles = Soles.of(body)
-    solved = solve(recordings, subject, body)
+    solved = fit_skeletons(recordings, subject, body)
     names = tuple(JOINTS[joint] for joint in subject.skeleton.joints)
     return [
         _conversion_of(recording, found, names, body, soles, keep_frame)

@@ -47,7 +47,7 @@ class SkeletonMap:
         return tuple(joint for joint, _ in self.orientations)
 
     @property
-    def feet(self) -> tuple[int, int]:
+    def feet_rows(self) -> tuple[int, int]:
         """First row of `positions` with ankles or toes, and number of all rows."""
         return sum(joint not in FEET for joint in self.joints), len(self.joints)
 

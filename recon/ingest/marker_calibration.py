@@ -57,7 +57,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
     with_offsets: bool
     """Whether marker offsets are optimised, too; the shape always is."""
 
-    def of(self, shape: Tensor, offsets: Tensor) -> PoseEnergies:
+    def for_body(self, shape: Tensor, offsets: Tensor) -> PoseEnergies:
         """Return the energies of poses for a known shape and known marker offsets."""
         under = self.under
         return replace(
@@ -73,7 +73,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
 
     def value(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """Return the total energy of poses, shape and marker offsets."""
-        value, _ = self.of(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
+        value, _ = self.for_body(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
         return self._total_energy(x, value).expand(len(rows), 1)
 
     def _total_energy(
@@ -99,7 +99,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
 
     def model(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Quadratic:
         """Return the Gauss-Newton model: one block per pose, bordered by shape and offsets."""
-        energies, poses = self.of(x.shape, x.offsets), x.poses
+        energies, poses = self.for_body(x.shape, x.offsets), x.poses
         value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
@@ -112,7 +112,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         corner.diagonal().add_(2 * count)
         slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * x.shape
         if energies.soles is not None:
-            depth, pressed = energies.depths(poses)
+            depth, pressed = energies.sole_heights(poses)
             lift = energies.soles.jacobian_by_shape(poses, self.body)[..., 2, :]
             rising = energies.soles.levers.jacobian(poses.bones)[..., 2, :]
             weighted = lift * pressed[..., None]
@@ -162,14 +162,14 @@ def calibrated(
     shape = energies.body.joint_directions.new_zeros(energies.body.shape_size)
     plain = replace(energies, poses=replace(energies.poses, sigma=None), with_offsets=False)
     robust = replace(energies, poses=replace(energies.poses, sigma=sigma), with_offsets=True)
-    average = plain.of(shape, energies.nominal)
+    average = plain.for_body(shape, energies.nominal)
     rough = LevenbergMarquardt(tolerance=_ROUGH, damping=_DAMPING)
     poses = minimise_frames(average, average.poses_of(translation, rotations), rough).state
     few = torch.arange(0, len(translation), _EVERY)
     state = CalibratedFrames(poses[few], shape, energies.nominal)
     state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
     state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
-    of_subject = robust.of(state.shape, state.offsets)
+    of_subject = robust.for_body(state.shape, state.offsets)
     start = of_subject.poses_of(poses.translation, poses.rotations)
     poses = minimise_frames(of_subject, start, LevenbergMarquardt(tolerance=_NEAR)).state
     state = CalibratedFrames(poses, state.shape, state.offsets)

@@ -18,8 +18,8 @@ from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     pair_finding,
     side_pairs,
-    steady_labels,
     with_exchanged,
+    with_exchanges_undone,
 )
 from recon.ingest.marker_findings import (
     FAR,
@@ -116,7 +116,7 @@ def fitted_markers(
         ValueError: when no frame shows enough markers to place a body, or points without names lie
             far from the usual places of markers.
     """
-    chosen, repairs = steady_labels(recording.select(markers.labels))
+    chosen, repairs = with_exchanges_undone(recording.select(markers.labels))
     chosen, cut = trimmed_recording(chosen, markers.bones)
     fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (

@@ -24,7 +24,7 @@ _BETTER = 0.5
 """Largest distance of two markers from fitted positions after an exchange, over that before it."""
 
 
-def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
+def with_exchanges_undone(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
     """Correct labels that are exchanged in some frames; return the recording, and findings.
 
     Exchanges of a pair divide the recording into parts, every second of which is wrong: those

@@ -19,15 +19,15 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies, calibrated
-from recon.ingest.marker_frames import repaired_frames, solved_apart, solved_together
+from recon.ingest.marker_frames import repaired_frames, solved_singly, solved_together
 from recon.ingest.marker_gaps import (
     interpolated_poses,
+    joints_with_shown_rotation,
     observed_joints,
     placed_frames,
-    turned_joints,
     with_gaps_filled,
 )
-from recon.ingest.marker_neighbours import frames_about_gaps, joined_in_time
+from recon.ingest.marker_neighbours import fitted_about_gaps, frames_about_gaps
 from recon.ingest.marker_poses import (
     PoseEnergies,
     Poses,
@@ -106,14 +106,14 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         found = _calibrated_to_frames(subject.frames(chosen), bones)
         offsets, poses = found.offsets, found.poses
         motion = Motion.create(poses.translation, poses.rotations, found.shape, recording.fps)
-        energies = subject.of(found.shape, offsets)
+        energies = subject.for_body(found.shape, offsets)
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
-        motion = solved_apart(energies, keys, interpolated_poses(motion, chosen, keys))
+        motion = solved_singly(energies, keys, interpolated_poses(motion, chosen, keys))
         near_gaps = frames_about_gaps(visible, recording.fps) & shown
         if bool(near_gaps.any()):
             points = partial(SkinPoints.of, body, found.shape, subject.vertices)
-            energies, offsets, motion, keys = joined_in_time(
+            energies, offsets, motion, keys = fitted_about_gaps(
                 energies, points, offsets, bones, motion, keys, near_gaps
             )
         energies = energies.frames(placed)
@@ -121,7 +121,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         motion, changed, unsupported = repaired_frames(
             energies, bones, lambda motion: body.pose(motion).joints, motion
         )
-        motion = with_gaps_filled(motion, placed, turned_joints(visible, bones))
+        motion = with_gaps_filled(motion, placed, joints_with_shown_rotation(visible, bones))
         motion = motion.replace(start_time=recording.start_time)
         predicted = _marker_positions(motion, offsets, subject.vertices, body)
     return MarkerFit(
@@ -129,8 +129,8 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         offsets,
         predicted,
         observed=observed_joints(visible, markers.vertices, body),
-        repaired=_spread_over_rows(changed, placed, recording.frames),
-        unsupported=_spread_over_rows(unsupported, placed[1:] - 1, recording.frames - 1),
+        repaired=_flags_over_rows(changed, placed, recording.frames),
+        unsupported=_flags_over_rows(unsupported, placed[1:] - 1, recording.frames - 1),
     )
 
 
@@ -196,7 +196,7 @@ def _marker_positions(
     return points.places(Poses.of(motion.translation, motion.rotations, rest)).mT
 
 
-def _spread_over_rows(
+def _flags_over_rows(
     values: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int
 ) -> Tensor:
     """Spread flags over `count` rows: given values at the rows `index`, false elsewhere."""

@@ -52,7 +52,7 @@ _STIFFER = (1e2, 1e3, 1e4)
 """Factors of the weight of joints' rotation from frame to frame, to spread a remaining jump."""
 
 
-def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+def solved_singly(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
     """Fit the poses of some frames independently of each other, from a rough guess.
 
     Args:

@@ -87,7 +87,7 @@ def observed_joints(
     return seen & placed_frames(visible, tuple(bones.tolist()))[:, None]
 
 
-def turned_joints(
+def joints_with_shown_rotation(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, "time 22"]:
     """Return a mask of joints whose rotation a visible marker on or below their bone shows."""

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from recon.core.struct import concatenate
 from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses
-from recon.ingest.marker_start import FoundBody, found_bodies, turned_limb
+from recon.ingest.marker_start import FoundBody, found_bodies, with_limb_turned
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.mocap.recording import MarkerRecording
 
@@ -64,7 +64,7 @@ class Naming:
         """Log odds of every track's name, less those of its next likely name."""
         self._sum, self._count = np.zeros(shape), np.zeros(shape[0])
 
-    def run(self) -> None:
+    def name_all_tracks(self) -> None:
         """Find the body, follow and fit it, and name the tracks; without a body none is named."""
         found, at = self._first_body()
         if found.cost > _NOWHERE:
@@ -86,13 +86,13 @@ class Naming:
                 former = self.marker.copy()
                 body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
-                self._look_again(body, table)
+                self._scores_anew(body, table)
                 self._name_tracks()
                 if (self.marker == former).all():
                     break
             else:
                 body = self._calibrated_body(body, every)
-        self._look_again(body, body)
+        self._scores_anew(body, body)
         self._name_tracks()
 
     def _first_body(self) -> tuple[FoundBody, int]:
@@ -145,7 +145,7 @@ class Naming:
             self._sum[:], self._count[:] = 0.0, 0.0
             self._follow_body(found, at, keys)
             poses = found.body.posed(self._translation[some], self._rotations[some])
-            turned = turned_limb(found.body, poses, clouds) if turns_left else None
+            turned = with_limb_turned(found.body, poses, clouds) if turns_left else None
             if turned is None:
                 break
             found, at = min(zip(turned, some, strict=True), key=lambda one: one[0].rank)
@@ -248,15 +248,15 @@ class Naming:
         x[rows, marker], seen[rows, marker] = self.seen.positions[frames[rows], points], True
         return x, seen
 
-    def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
-        """Pose `body` by the named markers; sum log odds of tracks anew by markers of `told`."""
+    def _scores_anew(self, body: MarkedBody, scored: MarkedBody) -> None:
+        """Pose `body` by the named markers; sum log odds of tracks anew by markers of `scored`."""
         from scipy.interpolate import CubicSpline
 
         x, seen = self.named(self.keys)
         poses = body.posed(self._translation, self._rotations)
         poses = minimise_frames(body.energies(x, seen), poses, _FIT).state
         self._translation, self._rotations = poses.translation, poses.rotations
-        places = told.places(poses)
+        places = scored.places(poses)
         frames, numbers = self._sampled_tracks()
         path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
         self._sum[:], self._count[:] = 0.0, 0.0
@@ -265,7 +265,7 @@ class Naming:
             place = path(frame) if path is not None else places[np.abs(self.keys - frame).argmin()]
             column = {int(t): p for p, t in enumerate(self.track[frame].tolist())}
             points = self.seen.positions[frame, [column[int(t)] for t in mine]]
-            self._sum[mine] += _log_odds(points[:, None] - place, told.spread)
+            self._sum[mine] += _log_odds(points[:, None] - place, scored.spread)
             self._count[mine] += 1
 
     def _sampled_tracks(self) -> tuple[np.ndarray, np.ndarray]:

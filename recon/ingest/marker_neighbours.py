@@ -59,7 +59,7 @@ def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool
     return widened_flags(hidden, max(1, round(_AROUND * fps)))
 
 
-def joined_in_time(
+def fitted_about_gaps(
     energies: PoseEnergies,
     points: Callable[[Tensor], SkinPoints],
     offsets: Float[Tensor, "markers 3"],
@@ -196,7 +196,7 @@ def _smoothed_over_time(
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
     """Return posterior means of Gaussian processes, given values and their inverse covariances."""
-    from scipy.linalg import solveh_banded  # imported here: only gaps need it
+    from scipy.linalg import solveh_banded  # imported only when markers have gaps
 
     at = moments.numpy()
     time = int(at[-1]) + 1

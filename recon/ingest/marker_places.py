@@ -54,7 +54,7 @@ class MarkedBody:
         count = len(self.markers.labels)
         nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
         subject = subject_energies(self._recording(*nothing), self.markers, self.body)
-        free = replace(subject, under=None).of(self.shape, self.offsets).untied()
+        free = replace(subject, under=None).for_body(self.shape, self.offsets).untied()
         return replace(free, weight=1.0)
 
     def _recording(self, positions: np.ndarray, visible: np.ndarray) -> MarkerRecording:

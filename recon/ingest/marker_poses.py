@@ -69,11 +69,11 @@ class PoseBlendShapes(TensorStruct):
             return None
         return cls(body.pose_directions[:, vertices].flatten(1), body.weights[vertices])
 
-    def moved(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
+    def displacements(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
         """Return the displacements of the points in given poses; world axes, metres."""
         return (self._blended_rotations(poses) @ self._in_bone_frames(poses)[..., None])[..., 0].mT
 
-    def pull(
+    def gradient_by_steps(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Return derivatives of Σ forces · displacements by the coordinates of a step."""
@@ -126,14 +126,20 @@ class SkinPoints(TensorStruct):
     def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
         """Return the positions of the points in given poses; world, metres."""
         places = self.levers.positions(poses.bones)
-        return places if self.correctives is None else places + self.correctives.moved(poses)
+        return (
+            places if self.correctives is None else places + self.correctives.displacements(poses)
+        )
 
-    def pull(
+    def gradient_by_steps(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Return derivatives of Σ forces · points by the coordinates of a step."""
         pull = self.levers.gradient_of(poses.bones, forces)
-        return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
+        return (
+            pull
+            if self.correctives is None
+            else pull + self.correctives.gradient_by_steps(poses, forces)
+        )
 
     def jacobian_by_shape(
         self, poses: Poses, body: BodyModel
@@ -238,7 +244,7 @@ class PoseEnergies(TiedFrames[Poses]):
         """Return the energies of some frames, without ties, and their gradients."""
         some = _poses_of_rows(state, rows)
         value, slope, away = self._residuals(some, rows)
-        gradient = self.markers.pull(some, away * slope[:, None])
+        gradient = self.markers.gradient_by_steps(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
         natural, pull = _values_of_rows(self.natural, rows), _values_of_rows(self.pull, rows)
@@ -246,9 +252,9 @@ class PoseEnergies(TiedFrames[Poses]):
         bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
         gradient[:, 3:] += pull[:, None] * flat_world_vectors(bent, some.orientations)
         if self.soles is not None:
-            depth, weight = self.depths(some)
+            depth, weight = self.sole_heights(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
-            gradient = gradient + self.soles.pull(
+            gradient = gradient + self.soles.gradient_by_steps(
                 some, pad((weight * depth)[:, None], (0, 0, 2, 0))
             )
         return self.weight * value, self.weight * gradient
@@ -261,14 +267,14 @@ class PoseEnergies(TiedFrames[Poses]):
         diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
         diagonal[..., 1:] += _values_of_rows(self.pull, rows)[:, None, None]
         if self.soles is not None:
-            _, weight = self.depths(some)
+            _, weight = self.sole_heights(some)
             touching = weight.any(-1).nonzero()[:, 0]
             self.soles.levers.add_height_hessian(
                 out, touching, some.bones[touching], weight[touching]
             )
         return self.weight * out
 
-    def share_data_kind(
+    def have_same_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Return which pairs of frames show the same markers, so that they can share a Hessian."""
@@ -305,7 +311,7 @@ class PoseEnergies(TiedFrames[Poses]):
         slope = self.weight * slope
         return away * slope[:, None], slope
 
-    def depths(
+    def sole_heights(
         self, state: Poses
     ) -> tuple[Float[Tensor, "frames soles"], Float[Tensor, "frames soles"]]:
         """Return heights of points under the feet, metres, and weights, zero above the ground."""

@@ -137,7 +137,7 @@ def full_body_markers(
     study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
     if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
         return _marker_set_of_keypoints(seen, body)
-    seen, decisions = _of_one_subject(recording, seen)
+    seen, decisions = _labels_of_one_subject(recording, seen)
     vertices: dict[str, int] = {}
     loose: dict[str, bool] = {}
     if bundled:
@@ -153,7 +153,7 @@ def full_body_markers(
                 vertices[label], loose[label] = vertex, False
     vertices = {label: vertices[label] for label in seen if label in vertices}
     unknown = tuple(label for label in seen if label not in vertices)
-    bare = _bare_parts(recording.name, vertices, unknown, body)
+    bare = _parts_without_markers(recording.name, vertices, unknown, body)
     found = markers_at(vertices, loose, body)
     return replace(found, unknown=unknown, bare=bare, decisions=decisions)
 
@@ -216,7 +216,7 @@ def right_handed_markers(
     )
 
 
-def _of_one_subject(
+def _labels_of_one_subject(
     recording: MarkerRecording, seen: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
     """Return the labels of the person seen most, if some name others (Ann:LASI, Bob:LASI)."""
@@ -257,7 +257,7 @@ def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
     return tuple(body.weights[list(vertices)].argmax(-1).tolist())
 
 
-def _bare_parts(
+def _parts_without_markers(
     name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
 ) -> tuple[str, ...]:
     """Return the names of those parts of the body on which no marker sits.

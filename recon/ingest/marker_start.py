@@ -86,7 +86,7 @@ def found_bodies(
     turned = np.einsum("tij,bpmj->bptmi", about, every)
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True)
-    points, among = zip(*map(_one_body, clouds), strict=True)
+    points, among = zip(*map(_largest_group, clouds), strict=True)
     chosen = [_likely_places(flat, own, effort) for own in points]
     cloud = np.repeat(np.arange(len(points)), [len(one) for one in chosen])
     which = np.concatenate(chosen)
@@ -109,7 +109,7 @@ def found_bodies(
     return [best[k] for k in range(len(among))]
 
 
-def turned_limb(
+def with_limb_turned(
     body: MarkedBody, poses: Poses, clouds: Sequence[Float[np.ndarray, "points 3"]]
 ) -> list[FoundBody] | None:
     """Return fits with one limb turned about its length; None where no turn is clearly better.
@@ -157,11 +157,11 @@ def _likely_places(
     """Return the numbers of the poses, centred on their markers, that lie nearest to points."""
     placed = places + np.median(points, 0)
     likely = np.argsort(_chamfer_distances(placed, points))[: _NEAR * effort]
-    costs = np.array([assigned(one, points, _REACH[0])[1] for one in placed[likely]])
+    costs = np.array([points_assigned(one, points, _REACH[0])[1] for one in placed[likely]])
     return likely[np.argsort(costs)[: _TRIED * effort]]
 
 
-def _one_body(
+def _largest_group(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, "some 3"], Bool[np.ndarray, " points"]]:
     """Return the largest group of points that is apart from all others, and a mask of it."""
@@ -187,7 +187,7 @@ def _fits_of_poses(
     for trial in trials:
         found = _assigned_clouds(body.places(state), clouds, cloud, _REACH[trial])
         if trial in _DROPS:
-            kept = _better_half(np.array([cost for _, cost in found]), cloud)
+            kept = _cheaper_half(np.array([cost for _, cost in found]), cloud)
             state, cloud = state[torch.from_numpy(kept)], cloud[kept]
             found = [found[k] for k in kept.tolist()]
         shape = len(found), len(body.markers.labels)
@@ -210,11 +210,11 @@ def _assigned_clouds(
     cloud: Int[np.ndarray, " poses"],
     reach: float,
 ) -> list[tuple[Int[np.ndarray, " points"], float]]:
-    """Assign the markers of every pose to the points of its cloud, as `assigned` does."""
-    return [assigned(one, clouds[k], reach) for one, k in zip(places, cloud, strict=True)]
+    """Assign the markers of every pose to the points of its cloud, as `points_assigned` does."""
+    return [points_assigned(one, clouds[k], reach) for one, k in zip(places, cloud, strict=True)]
 
 
-def _better_half(
+def _cheaper_half(
     costs: Float[np.ndarray, " poses"], cloud: Int[np.ndarray, " poses"]
 ) -> Int[np.ndarray, " kept"]:
     """Return the numbers of the poses with the lower half of each cloud's costs, ascending."""
@@ -225,7 +225,7 @@ def _better_half(
     return np.array(sorted(kept))
 
 
-def assigned(
+def points_assigned(
     places: Float[np.ndarray, "markers 3"], points: Float[np.ndarray, "points 3"], reach: float
 ) -> tuple[Int[np.ndarray, " points"], float]:
     """Assign points to markers by least squares; return markers (-1 beyond `reach`), mean cost."""

@@ -12,7 +12,7 @@ _JUMP, _ACCELERATION = 0.012, 60.0
 the way between two frames at an acceleration (m/s²)."""
 
 
-def tracks_of(
+def track_numbers(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
     fps: float,

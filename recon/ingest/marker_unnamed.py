@@ -14,7 +14,7 @@ from recon.core.units import Unit, Up
 from recon.ingest.marker_naming import Naming
 from recon.ingest.marker_places import MarkedBody, bodies_of_set, body_of_trial
 from recon.ingest.marker_sets import MarkerSet, full_body_markers, markers_of_set
-from recon.ingest.marker_tracks import tracks_of
+from recon.ingest.marker_tracks import track_numbers
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.solver.solution import one_thread
@@ -51,8 +51,8 @@ def placed_markers(
     if mapping is None or table is not None:
         bodies = bodies_of_set(markers_of_set(USUAL if table is None else table, body), body)
     else:
-        bodies = [body_like(marker_recording(mapping), body)]
-    named = _named_only(named_tracks(recording, recording.visible, bodies, like), like)
+        bodies = [body_of_named_trial(marker_recording(mapping), body)]
+    named = _recording_of_named(named_tracks(recording, recording.visible, bodies, like), like)
     return named, replace(full_body_markers(named, body, table), guessed=mapping is None)
 
 
@@ -73,7 +73,7 @@ def marker_recording(
     return read
 
 
-def body_like(
+def body_of_named_trial(
     trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
 ) -> MarkedBody:
     """Fit a body to a trial whose markers have names; return it with these markers.
@@ -109,8 +109,8 @@ def named_tracks(
         ReconError: when no body fits.
     """
     with one_thread(), torch.no_grad():
-        naming = Naming(seen, tracks_of(seen.positions, visible, seen.fps), bodies)
-        naming.run()
+        naming = Naming(seen, track_numbers(seen.positions, visible, seen.fps), bodies)
+        naming.name_all_tracks()
     if len(np.unique(naming.marker[naming.marker >= 0])) < FEWEST_MARKERS:
         raise ReconError(
             f"{seen.name}: its points fit the markers of {like} nowhere; expected one person with "
@@ -119,7 +119,7 @@ def named_tracks(
     return naming
 
 
-def _named_only(naming: Naming, like: str) -> MarkerRecording:
+def _recording_of_named(naming: Naming, like: str) -> MarkerRecording:
     """Return a recording of the named markers alone, with a note on the share of other points."""
     seen, names = naming.seen, naming.bodies[0].markers.labels
     x, visible = naming.named(np.arange(seen.frames))

@@ -38,7 +38,7 @@ class FittedSkeleton:
     """Recorded positions of ankles and toes, metres."""
 
 
-def solve(
+def fit_skeletons(
     recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
 ) -> list[FittedSkeleton]:
     """Fit poses to recordings with one frame rate, as a batch of independent clips.
@@ -80,7 +80,7 @@ def solve(
         FittedSkeleton(
             motion=found[row].window(0, len(f.positions)),
             residuals=apart[row, : len(f.positions)].mean(0),
-            source_feet=f.positions[:, slice(*subject.skeleton.feet)],
+            source_feet=f.positions[:, slice(*subject.skeleton.feet_rows)],
         )
         for row, f in enumerate(frames)
     ]

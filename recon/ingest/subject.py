@@ -129,7 +129,7 @@ class MappedFrames(TensorStruct):
         points = [recording.joint(name) for _, name in skeleton.positions]
         bones = [recording.joint(name) for _, name in skeleton.orientations]
         positions = torch.from_numpy(recording.positions[:, points]).float()
-        feet = positions[:, slice(*skeleton.feet)]
+        feet = positions[:, slice(*skeleton.feet_rows)]
         known = len(FEET) == feet.shape[1]
         none = torch.zeros(len(positions), 2, dtype=torch.bool)
         return cls(
@@ -179,7 +179,7 @@ def calibrate(
     soles = Soles.of(body)
     flat = FlatSoles(frames.standing[None], soles.heels, soles.balls)
     data = joint_terms(seen.replace(offset_rows=(0, len(skeleton.joints))))
-    first_foot, last_foot = skeleton.feet
+    first_foot, last_foot = skeleton.feet_rows
 
     def feet_offsets(estimate: Estimate) -> Float[Tensor, "*batch"]:
         return 0.5 * estimate.scene.offsets[:, first_foot:last_foot].square().sum((-1, -2))

@@ -54,7 +54,7 @@ class TiedFrames(ABC, Generic[S]):
         """Return the Gauss-Newton Hessians of some frames, without ties; positive semidefinite."""
 
     @abstractmethod
-    def share_data_kind(
+    def have_same_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Return which pairs of frames have the same kind of data, so can share a Hessian."""
@@ -130,7 +130,7 @@ def minimise_frames(
     rows = every if rows is None else rows
     value, gradient = energies.energies_and_gradients(state, every)
     between, pull = energies.tie_energies(state)
-    curvatures = _HessianFactors.none(gradient)
+    curvatures = _HessianFactors.empty(gradient)
     damping = torch.full_like(value, settings.damping)
     promised = torch.full_like(value, torch.inf)
     rounding = _ROUNDING * torch.finfo(value.dtype).eps
@@ -144,7 +144,7 @@ def minimise_frames(
         down = -(gradient[rows] + pull[rows])
         ties = Ties(energies.stiffness, (rows.diff() == 1) & energies.linked[rows[:-1]])
         steps = solve_tied(
-            curvatures.of(rows),
+            curvatures.of_frames(rows),
             ties,
             down,
             tolerance=settings.inner_tolerance,
@@ -160,7 +160,7 @@ def minimise_frames(
         change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
         rising = (change > rounding * scale).nonzero()[:, 0]
-        size = curvatures.size(rows[rising], steps[rising])
+        size = curvatures.half_squared_length(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
             # rejected frames keep their state, which changes the energies of ties to neighbours
@@ -200,20 +200,20 @@ class _HessianFactors:
     """Number of Hessians computed so far."""
 
     @classmethod
-    def none(cls, gradient: Float[Tensor, "frames n"]) -> "_HessianFactors":
+    def empty(cls, gradient: Float[Tensor, "frames n"]) -> "_HessianFactors":
         """Return a store for the factors of all frames, none of which is computed yet."""
         frames, size = gradient.shape
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
-    def of(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
+    def of_frames(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
         """Return the Cholesky factors of the damped Hessians of some frames."""
         return self.factors[self.owner[rows]]
 
-    def size(
+    def half_squared_length(
         self, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Float[Tensor, " rows"]:
         """Return half of each step's squared length in the metric of its frame's Hessian."""
-        return 0.5 * (self.of(rows).mT @ steps[..., None]).square().sum((1, 2))
+        return 0.5 * (self.of_frames(rows).mT @ steps[..., None]).square().sum((1, 2))
 
     def recompute(
         self,
@@ -225,7 +225,7 @@ class _HessianFactors:
     ) -> None:
         """Compute the factors of some frames anew; up to `stride` similar frames share one."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
-        self.owner[rows] = middle.where(energies.share_data_kind(rows, middle), rows)
+        self.owner[rows] = middle.where(energies.have_same_data_kind(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
             curvature = energies.curvature(state, some)
             diagonal = curvature.diagonal(dim1=1, dim2=2)

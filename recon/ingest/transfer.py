@@ -70,7 +70,7 @@ class AlignedBody:
         return forward_kinematics(local, local.new_zeros(len(JOINTS), 3))[0][0]
 
 
-def align(
+def aligned_at_rest(
     body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel, count: int | None = None
 ) -> AlignedBody:
     """Find shape and pose in which the target's surface is nearest to a body at rest.
@@ -250,7 +250,7 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> MotionOnOthe
     dtype = motion.translation.dtype
     motion = motion.to(dtype=torch.float64)
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
-    rest = align(body, motion.shape, target)
+    rest = aligned_at_rest(body, motion.shape, target)
     moved = _fit_to_skin(motion, body, target, rest)
     return MotionOnOtherBody(
         moved.to(dtype=dtype), _surface_distances(motion, body, moved, target)

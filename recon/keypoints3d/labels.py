@@ -47,7 +47,7 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 }
 
 
-def hands_apart(points: Points3D) -> tuple[Points3D, Points3D | None]:
+def split_off_hands(points: Points3D) -> tuple[Points3D, Points3D | None]:
     """Split keypoints into the body's and 42 of the hands, which are None if there are none."""
     meant = [_point_of_hand(name) for name in points.names]
     rows = {one: k for k, one in enumerate(meant) if one is not None and one not in meant[:k]}

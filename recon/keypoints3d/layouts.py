@@ -36,7 +36,7 @@ the place from which on the 21 points of the left and of the right hand follow."
 _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
 
 
-def with_names(points: Points3D) -> Points3D:
+def named_by_count(points: Points3D) -> Points3D:
     """Return keypoints with names if their number determines the layout, without faces."""
     count = points.positions.shape[1]
     if points.names or points.layout:

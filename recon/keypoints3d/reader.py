@@ -18,7 +18,7 @@ from recon.formats.producers import MARKERS, POINTS_3D, holds_sam3d_body, produc
 from recon.formats.text_tables import first_rows, numbers_of_columns, read_rows
 from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
-from recon.keypoints3d.layouts import with_names
+from recon.keypoints3d.layouts import named_by_count
 from recon.keypoints3d.people_files import read_ntu_skeleton, read_people
 from recon.keypoints3d.records import Points3D
 from recon.keypoints3d.tables import (
@@ -34,7 +34,7 @@ from recon.mocap.recording import MarkerRecording
 _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
 
-def body_file(folder: Path) -> Path | None:
+def session_body_file(folder: Path) -> Path | None:
     """Return the file with the body keypoints of a FreeMoCap session; None for other folders."""
     places = (folder / "output_data", folder)
     endings = [(stem, ending) for stem in _BODY for ending in (".npy", ".csv")]
@@ -42,7 +42,7 @@ def body_file(folder: Path) -> Path | None:
     return next((files[0] for files in found if files), None)
 
 
-def time_stamps(folder: Path) -> Path | None:
+def session_time_stamps(folder: Path) -> Path | None:
     """Return the file with the time stamps of a FreeMoCap session's frames, or None."""
     places = (folder, folder / "output_data", folder.parent)
     return next((one for place in places for one in sorted(place.glob("*_by_frame.csv"))), None)
@@ -55,16 +55,16 @@ def read_session(folder: Path) -> Points3D:
         FileNotFoundError: when there is no such folder.
         ValueError: when it is no session, or its files are damaged.
     """
-    path = body_file(folder)
+    path = session_body_file(folder)
     if path is None:
         raise FormatError(
             f"{folder}: expected FreeMoCap's output_data with mediapipe_body_3d_xyz.npy or "
             "body_3d_xyz.csv"
         )
-    points = _with_hands((read_array if path.suffix == ".npy" else read_table)(path), path)
+    points = _with_session_hands((read_array if path.suffix == ".npy" else read_table)(path), path)
     said = f"FreeMoCap session: {path.relative_to(folder)}, millimetres"
     points = replace(points, unit="mm", decisions=(*points.decisions, said))
-    stamps = time_stamps(folder)
+    stamps = session_time_stamps(folder)
     if points.fps is not None or stamps is None:
         return points
     header, *rows = read_rows(stamps, TEXT)
@@ -80,7 +80,7 @@ def read_session(folder: Path) -> Points3D:
     return points.with_rate_of_times(times[first], stamps.name)
 
 
-def _with_hands(points: Points3D, path: Path) -> Points3D:
+def _with_session_hands(points: Points3D, path: Path) -> Points3D:
     """Add the hand points of a session's other files to MediaPipe's points of the body."""
     layout = LAYOUTS["mediapipe33"]
     parts = [path.with_name(path.name.replace("body", f"{side}_hand", 1)) for side in SIDES]
@@ -121,7 +121,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         # the `joints` of a motion file are results, not observations
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
-    if ending in _TABLES and path.is_file() and not holds_markers(path):
+    if ending in _TABLES and path.is_file() and not holds_labelled_points(path):
         return is_table_3d(first_rows(path))
     if found is None or found.holds != POINTS_3D:
         return False
@@ -131,7 +131,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         return b"pose_landmarks" not in file.read(_HEAD)
 
 
-def holds_markers(path: Path) -> bool:
+def holds_labelled_points(path: Path) -> bool:
     """Return whether a file is a recording of labelled points, as markers or keypoints."""
     found = producer_of(path)
     return found is not None and found.holds == MARKERS
@@ -153,20 +153,20 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if holds_sam3d_body(path):
-        from recon.keypoints3d.sam3d_body import read_sam3d_body  # imported here: a rare format
+        from recon.keypoints3d.sam3d_body import read_sam3d_body  # imported only for this format
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():
-        alone = body_file(path) is None and holds_points_3d(path)
+        alone = session_body_file(path) is None and holds_points_3d(path)
         found = read_people(read_frame_folder(path), path.name, person) if alone else None
-        return with_names(read_session(path) if found is None else found).checked()
+        return named_by_count(read_session(path) if found is None else found).checked()
     match path.suffix.lower():
         case ".npy":
             found = read_array(path)
         case ".npz" | ".pkl":
             found = read_arrays(path)
-        case _ if holds_markers(path):
-            found = from_recording(marker_recording(path, unit, up))
+        case _ if holds_labelled_points(path):
+            found = points_of_recording(marker_recording(path, unit, up))
         case ".csv" | ".tsv" | ".txt":
             found = read_table(path)
         case ".json":
@@ -178,7 +178,7 @@ def read_points_3d(
                 f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a "
                 "session folder"
             )
-    return with_names(found).checked()
+    return named_by_count(found).checked()
 
 
 def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecording:
@@ -193,7 +193,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     return found
 
 
-def from_recording(recording: MarkerRecording) -> Points3D:
+def points_of_recording(recording: MarkerRecording) -> Points3D:
     """Convert a recording of labelled points to 3D keypoints.
 
     Raises:
@@ -237,7 +237,7 @@ def opencap_markers(recording: MarkerRecording) -> PositionsFile | None:
     )
 
 
-def with_rate(points: Points3D, fps: float | None) -> Points3D:
+def with_known_rate(points: Points3D, fps: float | None) -> Points3D:
     """Return the points with the frame rate that the caller gave, or else the file's.
 
     Raises:

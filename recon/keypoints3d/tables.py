@@ -214,7 +214,7 @@ def read_arrays(path: Path) -> Points3D:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, or holds none or several such arrays.
     """
-    arrays = load_arrays(path) if path.suffix.lower() == ".npz" else _arrays_of(path)
+    arrays = load_arrays(path) if path.suffix.lower() == ".npz" else _arrays_in_tree(path)
     key = holds_points(arrays)
     found = None if key is None else as_points(arrays[key])
     if found is None:
@@ -232,7 +232,7 @@ def read_arrays(path: Path) -> Points3D:
     )
 
 
-def _arrays_of(path: Path) -> dict[str, np.ndarray]:
+def _arrays_in_tree(path: Path) -> dict[str, np.ndarray]:
     tree = read_tree(path)
     if "keypoints3d_optim" in tree:
         del tree["keypoints3d"]

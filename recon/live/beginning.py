@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined_in_time
+from observations.moments import Tracker, append_frames
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.api.preview import likeliest_motion, loaded_look, with_shape
@@ -74,10 +74,10 @@ def first_window(
     """
     seen = list(moments[0].seen)
     for moment in moments[1:]:
-        seen = [joined_in_time(a, b) for a, b in zip(seen, moment.seen, strict=True)]
+        seen = [append_frames(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    looked = _first_look(seen, noise, person.shape, body)
-    begun = looked or _first_fit(seen, noise, person.shape, body, poses)
+    looked = _proposed_motion(seen, noise, person.shape, body)
+    begun = looked or _fitted_motion(seen, noise, person.shape, body, poses)
     motion, offsets, rows, noises = begun
     trackers: tuple[Tracker, ...] = tuple(
         one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
@@ -112,7 +112,7 @@ _FirstMotion = tuple[Motion, Tensor, Sequence[Any], tuple[Noise, ...]]
 """A motion, offsets of points from the body, the rows of every sensor in these, the noises."""
 
 
-def _first_look(
+def _proposed_motion(
     seen: Sequence[Tracker],
     noise: tuple[float | None, ...],
     shape: Float[Tensor, " shape"] | None,
@@ -136,7 +136,7 @@ def _first_look(
     return motion, motion.shape.new_zeros(0, 3), [None] * len(batch), tuple(noises)
 
 
-def _first_fit(
+def _fitted_motion(
     seen: Sequence[Tracker],
     noise: tuple[float | None, ...],
     shape: Float[Tensor, " shape"] | None,
@@ -144,7 +144,7 @@ def _first_fit(
     poses: PosePrior,
 ) -> _FirstMotion:
     """Fit a first motion to the first frames of a stream, under the pose prior."""
-    first = _FirstPoses(poses.density, poses.weighed)
+    first = _FirstPoses(poses.density, poses.effective_weights)
     options = FitOptions(prior=first, noise=noise, shape=shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():

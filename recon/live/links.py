@@ -147,7 +147,7 @@ class VmcLink(Link):
             "pythonosc.osc_message_builder", "python-osc", "sending VMC", "live"
         ).OscMessageBuilder
 
-        def head(address: str, *values: str | int | float) -> bytes:
+        def message_head(address: str, *values: str | int | float) -> bytes:
             """Return the bytes of an OSC message without its floats, 4 bytes each at the end."""
             message = builder(f"/VMC/Ext/{address}")
             for value in values:
@@ -156,13 +156,13 @@ class VmcLink(Link):
             return message.build().dgram[: -4 * floats or None]
 
         super().__init__(address, complain)
-        self._tracked = [head("OK", 1, 3, 0, found) for found in (0, 1)]
-        self._time = head("T", 0.0)
+        self._tracked = [message_head("OK", 1, 3, 0, found) for found in (0, 1)]
+        self._time = message_head("T", 0.0)
         pose = [0.0] * 7
-        self._root = head("Root/Pos", "root", *pose) + _packed_floats([*pose[1:], 1.0])
+        self._root = message_head("Root/Pos", "root", *pose) + _packed_floats([*pose[1:], 1.0])
         # VRM names these bones as Unity does, except for the capital first letter
         vrm = joint_names_in(JOINTS, "vrm")
-        self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
+        self._bones = [message_head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
 
     def send(self, estimate: LiveEstimate | None) -> None:
         """Send an estimate and its `earlier` ones; None says that there is no estimate yet."""

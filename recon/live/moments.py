@@ -8,7 +8,7 @@ from torch import Tensor
 
 from observations.moments import (
     Tracker,
-    as_streamed,
+    checked_for_stream,
     frame_from_array,
     frames_between,
     with_points_hidden,
@@ -49,10 +49,10 @@ class StreamSensors:
             ObservationError: when there is none, one is no named points or no calibrated camera,
                 or their rates differ.
         """
-        seen = _one_or_more(given)
+        seen = _as_tuple(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
-        sensors = tuple(as_streamed(one) for one in seen)
+        sensors = tuple(checked_for_stream(one) for one in seen)
         if len(rates := sorted({one.fps for one in sensors})) > 1:
             raise ObservationError(
                 f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
@@ -93,7 +93,7 @@ class StreamSensors:
                 frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)
             )
             return Moment(next_time if time is None else finite_number(time, "time"), seen)
-        rows = _one_or_more(given)
+        rows = _as_tuple(given)
         self._check_count(rows)
         seen = tuple(_checked_like(s, row) for s, row in zip(self.trackers, rows, strict=True))
         starts = [one.start_time for one in seen]
@@ -113,7 +113,7 @@ class StreamSensors:
             )
 
 
-def _one_or_more(given: Any) -> tuple[Any, ...]:
+def _as_tuple(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, TensorStruct) else tuple(given)
 
 
@@ -123,7 +123,7 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
         )
-    one = as_streamed(given)
+    one = checked_for_stream(given)
     if one.moments != 1:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:
@@ -134,4 +134,4 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
             f"the points changed: expected the {len(before)} former points in their order, got "
             f"{len(after)}; mark points that are not seen as missing, or begin another stream"
         )
-    return sensor.derived(start_time=one.start_time, **one.by_frame(lambda tensor: tensor))
+    return sensor.derived(start_time=one.start_time, **one.map_frames(lambda tensor: tensor))

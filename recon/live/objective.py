@@ -95,14 +95,14 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of the joints' accelerations."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+    def step_energy(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
         """Return a record whose `energy`, that of the motion's steps, is differentiable."""
         ...
 
     def add_curvature(
         self,
         motion: Motion,
-        judged: Any,
+        evaluated: Any,
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
@@ -160,14 +160,14 @@ class Objective:
         return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property
-    def rate(self) -> float:
+    def scale_to_30_hz(self) -> float:
         """Factor that scales sums over frames to 30 Hz, the rate that weights are for."""
         return REFERENCE_FPS / self.fps
 
     @property
     def stiffness(self) -> float:
         """Weight of ½ |second difference of a joint|² at the window's frame rate."""
-        return self.weights.acceleration / self.rate**3
+        return self.weights.acceleration / self.scale_to_30_hz**3
 
     def posed(self, window: Window) -> tuple[Tensor, Tensor, Tensor]:
         """Return the joints' local rotations, world orientations and world positions (metres)."""
@@ -175,11 +175,11 @@ class Objective:
         orientations, joints = forward_kinematics(rotations, self.rest)
         return rotations, orientations, joints + window.translation[:, None]
 
-    def value(self, window: Window, seen: Sequence[Tracker]) -> float:
+    def energy(self, window: Window, seen: Sequence[Tracker]) -> float:
         """Return a window's energy; `seen` holds the data of its last frames."""
         rotations, orientations, joints = self.posed(window)
         held = window.frames - seen[0].moments
-        total = self.weights.pose * self.rate * window.pose[held:].square().sum()
+        total = self.weights.pose * self.scale_to_30_hz * window.pose[held:].square().sum()
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
@@ -187,7 +187,7 @@ class Objective:
             total = total + scale * sensor.energy(places)
         if self.steps is not None:
             motion = self.motion(window, rotations)
-            total = total + self.steps.judged(motion, joints[None], held).energy
+            total = total + self.steps.step_energy(motion, joints[None], held).energy
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
@@ -202,7 +202,7 @@ class Objective:
         steps = (pose @ self.density.basis.mT).unflatten(-1, (-1, 3))
         turns = (right_jacobian(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
         own = orientations[held:], joints[held:]
-        weight = self.weights.pose * self.rate
+        weight = self.weights.pose * self.scale_to_30_hz
         count = len(self.shape) if with_shape else 0
         value = weight * pose.square().sum()
         gradient = pad(2 * weight * pose, (6, 0))
@@ -237,10 +237,10 @@ class Objective:
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
         if self.steps is not None:
-            judged, slope = self._prior_energy_and_gradient(window, held)
-            value, gradient = value + judged.energy.detach(), gradient + slope
+            evaluated, slope = self._prior_energy_and_gradient(window, held)
+            value, gradient = value + evaluated.energy.detach(), gradient + slope
             motion = self.motion(window, rotations)[0]
-            self.steps.add_curvature(motion, judged, hessian, of_joints)
+            self.steps.add_curvature(motion, evaluated, hessian, of_joints)
         inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
         inner.add_products(of_joints[held:], column, column[..., :0])
         inner.inner[:, 0] += alone
@@ -264,9 +264,9 @@ class Objective:
             zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
             moved = window.moved(zero)
             rotations, _, joints = self.posed(moved)
-            judged = self.steps.judged(self.motion(moved, rotations), joints[None], held)
-            (slope,) = torch.autograd.grad(judged.energy, zero)
-        return judged, slope[held:]
+            evaluated = self.steps.step_energy(self.motion(moved, rotations), joints[None], held)
+            (slope,) = torch.autograd.grad(evaluated.energy, zero)
+        return evaluated, slope[held:]
 
 
 def _by_variables(

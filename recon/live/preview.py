@@ -8,10 +8,10 @@ from torch import Tensor
 
 from observations.moments import (
     Tracker,
-    collapsed,
+    append_frames,
     frames_between,
-    joined_in_time,
-    with_moment,
+    points_coincide,
+    replace_frame,
     with_points_hidden,
 )
 from recon.api.preview import likeliest_motion, with_shape, with_triangulated_views
@@ -59,9 +59,9 @@ class PreviewTracking(TrackedPerson):
             ObservationError: when the network cannot use such sensors.
         """
         for moment in moments:
-            new = [with_points_hidden(o) if collapsed(o) else o for o in moment.seen]
+            new = [with_points_hidden(o) if points_coincide(o) else o for o in moment.seen]
             joined = zip(self.seen, new, strict=True) if self.seen else ()
-            self.seen = tuple(joined_in_time(a, b) for a, b in joined) or tuple(new)
+            self.seen = tuple(append_frames(a, b) for a, b in joined) or tuple(new)
             self.times.append(moment.time)
             self.unseen = 0 if any(bool(one.shown.any()) for one in new) else self.unseen + 1
         return self._final_estimates(self.lag, findings)
@@ -72,7 +72,7 @@ class PreviewTracking(TrackedPerson):
         if row < self.final or any(bool(one.shown[row].any()) for one in self.seen):
             return False
         pairs = zip(self.seen, moment.seen, strict=True)
-        self.seen = tuple(with_moment(a, row, b) for a, b in pairs)
+        self.seen = tuple(replace_frame(a, row, b) for a, b in pairs)
         self.times[row] = moment.time
         return True
 
@@ -83,7 +83,7 @@ class PreviewTracking(TrackedPerson):
         self.seen = tuple(frames_between(one, 0, stop) for one in self.seen)
         return self._final_estimates(0, findings)
 
-    def known(self) -> KnownShape:
+    def known_shape(self) -> KnownShape:
         """Return the shape of the person as estimated so far."""
         held = self.person.shape if self.shape is None else self.shape
         return KnownShape(held)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from observations.moments import Tracker, frames_between, joined_in_time
+from observations.moments import Tracker, append_frames, frames_between
 from recon.body.derivatives import BonePoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
 from recon.solver.banded import Banded, Factor
@@ -38,7 +38,7 @@ class ShapeKnowledge:
         """The energy."""
         return float(0.5 * shape @ self.information @ shape - self.pull @ shape)
 
-    def learned(
+    def with_first_frame(
         self, equations: Equations, shape: Float[Tensor, " shape"], weight: float
     ) -> "ShapeKnowledge":
         """Add what a window's first frame says about the shape, its pose marginalised (Schur).
@@ -88,7 +88,7 @@ class SmoothedWindow:
     """Mean energy of an active frame before the last step."""
 
     @property
-    def active(self) -> int:
+    def active_frames(self) -> int:
         """Number of frames that are still optimised."""
         return self.seen[0].moments
 
@@ -100,7 +100,7 @@ class SmoothedWindow:
             most: largest number of active frames.
             learn_until: number of frames after which the shape is held.
         """
-        data = tuple(joined_in_time(a, b) for a, b in zip(self.seen, seen, strict=True))
+        data = tuple(append_frames(a, b) for a, b in zip(self.seen, seen, strict=True))
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
@@ -108,8 +108,8 @@ class SmoothedWindow:
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective
-                weight = objective.weights.shape * objective.rate
-                knowledge = knowledge.learned(self.equations, objective.shape, weight)
+                weight = objective.weights.shape * objective.scale_to_30_hz
+                knowledge = knowledge.with_first_frame(self.equations, objective.shape, weight)
                 learning = knowledge.frames < learn_until
         return replace(
             self, window=window, seen=data, knowledge=knowledge, learning=learning, equations=None
@@ -122,7 +122,7 @@ class SmoothedWindow:
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
-    def stepped(self) -> "SmoothedWindow":
+    def after_unchecked_step(self) -> "SmoothedWindow":
         """Return the window after one Gauss-Newton step, without checking that the energy falls.
 
         The check would make a push a quarter longer, and a search for a shorter step where the
@@ -131,7 +131,7 @@ class SmoothedWindow:
         """
         refinement, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
         model = refinement.model(self, row)
-        energy = float(model.value.sum()) / self.active
+        energy = float(model.value.sum()) / self.active_frames
         factor = Factor(model.hessian[0], _DAMPING if energy > _RISE * self.energy else 0.0)
         step = -factor.solve(model.gradient[0])
         if not factor.definite or not bool(step.isfinite().all()):
@@ -149,7 +149,7 @@ class SmoothedWindow:
     @property
     def shape_weight(self) -> float:
         """Weight of |b|², the density of shapes, for all active frames."""
-        return self.objective.weights.shape * self.objective.rate * self.active
+        return self.objective.weights.shape * self.objective.scale_to_30_hz * self.active_frames
 
 
 class _WindowProblem(Problem[SmoothedWindow]):
@@ -177,8 +177,8 @@ class _WindowProblem(Problem[SmoothedWindow]):
     ) -> SmoothedWindow:
         """Return the window, with its objective's shape, after a step of the unknowns."""
         del rows
-        frames, shape = steps[0].tensor_split([x.active * VARIABLES])
-        window = x.window.moved(frames.view(x.active, VARIABLES))
+        frames, shape = steps[0].tensor_split([x.active_frames * VARIABLES])
+        window = x.window.moved(frames.view(x.active_frames, VARIABLES))
         objective = x.objective
         if x.learning:
             objective = objective_of_shape(objective, objective.shape + shape, x.seen)
@@ -186,7 +186,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
 
     def value(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The energy."""
-        value = x.objective.value(x.window, x.seen) + x.value_of_shape()
+        value = x.objective.energy(x.window, x.seen) + x.value_of_shape()
         return torch.full((len(rows), 1), value, dtype=torch.float64)
 
 

@@ -267,7 +267,7 @@ class Stream:
         if tracking is None:
             return []
         done = tracking.finish(self._findings)
-        self._person = tracking.known()
+        self._person = tracking.known_shape()
         return done
 
     def _newest_with_findings(self, done: list[LiveEstimate]) -> LiveEstimate | None:

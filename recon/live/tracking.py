@@ -12,8 +12,8 @@ from torch import Tensor
 
 from observations.moments import (
     Tracker,
-    collapsed,
-    with_moment,
+    points_coincide,
+    replace_frame,
     with_points_hidden,
 )
 from priors.pose.prior import PosePrior
@@ -63,7 +63,7 @@ BEGINNING = 15
 """Moments from which a first motion is fitted, at least: they tell noise and posture."""
 _BEYOND = 4
 """Frames older than the lag that are still moved: what is final later than a frame moves it."""
-_ASTRAY, _SPEED = 0.5, 10.0
+_MAX_DEVIATION_M, _MAX_SPEED_M_S = 0.5, 10.0
 """Metres, and metres per second since the last moment with points, that a point may lie from where
 it is expected. Nobody moves so fast."""
 _PERSISTS = 0.3
@@ -136,7 +136,7 @@ class Tracking(TrackedPerson):
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None
-            else self._current_window.stepped()
+            else self._current_window.after_unchecked_step()
         )
         return self._final_estimates(self.lag)
 
@@ -148,11 +148,11 @@ class Tracking(TrackedPerson):
                 return False
             self.gathered[row] = moment
             return True
-        row = self.smoothed.active - 1 - back
+        row = self.smoothed.active_frames - 1 - back
         if row < 0 or self.joints_seen(self.smoothed.seen, row).any():
             return False
         seen = tuple(
-            with_moment(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
+            replace_frame(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
         )
         self.smoothed = replace(self.smoothed, seen=seen)
         self.times[len(self.times) - 1 - back] = moment.time
@@ -177,7 +177,7 @@ class Tracking(TrackedPerson):
             self.times.pop()
         return self._final_estimates(0)
 
-    def known(self) -> KnownShape:
+    def known_shape(self) -> KnownShape:
         """Return what is known of the person's shape so far."""
         now = self.smoothed
         if now is None:
@@ -225,7 +225,8 @@ class Tracking(TrackedPerson):
             )
         self.since_seen = 0 if any(bool(s.shown.any()) for s in seen) else self.since_seen + 1
         rows = tuple(
-            with_moment(a, after.active - 1, b) for a, b in zip(after.seen, seen, strict=True)
+            replace_frame(a, after.active_frames - 1, b)
+            for a, b in zip(after.seen, seen, strict=True)
         )
         self.smoothed = replace(after, seen=rows)
 
@@ -236,12 +237,12 @@ class Tracking(TrackedPerson):
         if moment.empty:
             return moment.seen, 0.0
         _, orientations, joints = predicted.objective.posed(predicted.window[-1:])
-        allowed = _ASTRAY + _SPEED * self.since_seen / self.sensors.fps
+        allowed = _MAX_DEVIATION_M + _MAX_SPEED_M_S * self.since_seen / self.sensors.fps
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):
             away = one.distances(points.positions(orientations, joints))
-            bad = one.shown & ((away > allowed) | collapsed(one))
+            bad = one.shown & ((away > allowed) | points_coincide(one))
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)
@@ -259,7 +260,7 @@ class Tracking(TrackedPerson):
                 "anew there",
             )
         )
-        self.person, self.smoothed, self.times, self.final = self.known(), None, [], 0
+        self.person, self.smoothed, self.times, self.final = self.known_shape(), None, [], 0
         self.since_seen, self.gathered = 0, there
         return done
 
@@ -272,7 +273,7 @@ class Tracking(TrackedPerson):
         first = max(self.final - 1, 0)
         objective, own = now.objective, slice(self.final - first, stop - first)
         rotations, _, places = objective.posed(now.window[first : stop + 1])
-        held, contacts = now.window.frames - now.active, None
+        held, contacts = now.window.frames - now.active_frames, None
         if objective.steps is not None:
             heights = rest_heights(self.body, objective.shape)
             contacts = contact_probabilities(places, heights, objective.fps)[own]

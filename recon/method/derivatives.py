@@ -192,7 +192,7 @@ class Neighbourhood:
         return Estimate(Decoded(motion), self.body.pose(motion), scenes)
 
     @cached_property
-    def joints(self) -> Float[Tensor, "time 66 columns"]:
+    def jacobian(self) -> Float[Tensor, "time 66 columns"]:
         """Jacobian of the joints in the world, metres."""
         carried = BonePoints.of_joints(self.body, self.motion.shape[0])
         moved = self._by_motion(carried)
@@ -208,13 +208,13 @@ class Neighbourhood:
         moved = identity.expand(*turned.shape[:2], 3, 3)
         return torch.cat((moved, turned, points.jacobian_by_shape(orientations, self.body)), -1)
 
-    def seen(self) -> Float[Tensor, "time 66 columns"]:
+    def jacobian_in_recording(self) -> Float[Tensor, "time 66 columns"]:
         """Return the Jacobian of the joints in the recording's frame, metres, all columns."""
         scenes, world = self.translated.scene, self.translated.body.joints
         if scenes.ground is None:
-            return self.joints
+            return self.jacobian
         turn = scenes.ground.T_world_recording[0, :3, :3].mT
-        turned = turn @ self.joints.unflatten(1, (-1, 3))
+        turned = turn @ self.jacobian.unflatten(1, (-1, 3))
         if self.ground_coordinates > 0:
             moved = differences(scenes.to_recording(world))[..., -self.ground_coordinates :]
             turned = torch.cat((turned[..., : -self.ground_coordinates], moved), -1)

@@ -140,7 +140,7 @@ def _deviations_of_window(
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
     sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
-    moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
+    moved, shaped = near.jacobian[..., :FRAME], near.jacobian[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
     h.inner[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
     h.corner.diagonal().add_(_LEAST)
@@ -159,12 +159,12 @@ def _deviations_of_window(
     shapes = motion.shape.shape[-1]
     shape = h.corner.diagonal()[:shapes]
     shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
-    told = ground is not None and add_stance_information(h, near.translated, near.joints, ground)
+    told = ground is not None and add_stance_information(h, near.translated, near.jacobian, ground)
     factor = Factor(h)
     if not factor.definite:
         raise ArithmeticError("the Hessian of the fit is not positive definite")
     found = factor.inverse()
-    marginals = _marginal_deviations(found, near.seen(), shapes)
+    marginals = _marginal_deviations(found, near.jacobian_in_recording(), shapes)
     if measure is not None:
         # what is measured depends on rotations only: slopes by all other variables are zero
         slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))

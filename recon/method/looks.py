@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 
 if TYPE_CHECKING:
     from recon.method.sensor import Sensor
-else:  # only annotations name Sensor: at run time its module need not be loaded
+else:  # at run time Any replaces Sensor, whose module need not be imported
     from typing import Any as Sensor
 
 

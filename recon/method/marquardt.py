@@ -33,7 +33,7 @@ def marquardt(
     few = max(settings.tolerance_decrease, _LEAST_DECREASE)
     options = GaussNewton(settings.max_iterations, few, settings.scale)
     try:
-        local, base = StageProblem.about(stage, body, unknowns)
+        local, base = StageProblem.around(stage, body, unknowns)
         if local.size > local.hessian_size:
             alone = replace(stage, free=frozenset(n for n in stage.free if n in _OF_MOTION))
             held = marquardt(alone, body, unknowns, on_progress)
@@ -59,7 +59,7 @@ def preconditioned(
 ) -> tuple[Unknowns[Any], Solution] | None:
     """Minimise a stage by L-BFGS in variables in which the initial Hessian is the identity."""
     try:
-        local, base = StageProblem.about(stage, body, unknowns)
+        local, base = StageProblem.around(stage, body, unknowns)
         factors = [factorised(one) for one in local.hessians(base)]
     except NoHessian:
         return None
@@ -68,7 +68,7 @@ def preconditioned(
         # reading row numbers from a GPU would wait for it, and is needless where all are active
         every = len(active) == len(factors)
         own = factors if every else [factors[k] for k in active.tolist()]
-        return local.stepped(some, _Unwhitened.apply(u, own, local.hessian_size))
+        return local.after_steps(some, _Unwhitened.apply(u, own, local.hessian_size))
 
     start = base.variables.shape.new_zeros(len(factors), local.size)
     minimiser = replace(stage.minimiser, scaled=True)

@@ -99,8 +99,8 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the Hessian of a sensor of points, whose times may lie between motion frames."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor[clip]
-    if hasattr(one, "settled"):
-        one = one.settled(scene[clip])
+    if hasattr(one, "with_constants_of"):
+        one = one.with_constants_of(scene[clip])
     carried = sensor.points_on_bones(model.body, motion.shape, scene.offsets[clip])
     places = carried.positions(*model.posed)
     if scene.ground is not None:
@@ -209,7 +209,7 @@ class StageProblem(Problem[Unknowns[Any]]):
     """Number of steps of frames and shape, which the Hessian covers."""
 
     @classmethod
-    def about(
+    def around(
         cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]
     ) -> tuple["StageProblem", Unknowns[Any]]:
         """Return the problem of a stage, and the unknowns from which its steps begin.
@@ -248,7 +248,7 @@ class StageProblem(Problem[Unknowns[Any]]):
             estimate = base.estimate(self.stage.prior, self.body)
             return hessians(self.stage, base.variables, estimate, self.hessian_size > self.frames)
 
-    def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
+    def after_steps(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
         """Return unknowns `base` after steps, as a differentiable function of the steps."""
         prior: Any = self.stage.prior
         framed = steps[:, : self.frames].unflatten(1, (-1, FRAME))
@@ -272,7 +272,7 @@ class StageProblem(Problem[Unknowns[Any]]):
         stage, base = rows_of(self.stage, x, rows)
         with torch.enable_grad():
             zero = base.variables.shape.new_zeros(len(rows), self.size, requires_grad=True)
-            estimate = self.stepped(base, zero).estimate(stage.prior, self.body)
+            estimate = self.after_steps(base, zero).estimate(stage.prior, self.body)
             terms = stage.values(estimate)
             (gradient,) = torch.autograd.grad(terms.sum(), zero)
         with torch.no_grad():
@@ -284,7 +284,7 @@ class StageProblem(Problem[Unknowns[Any]]):
     ) -> Unknowns[Any]:
         """Return all clips' unknowns after the clips `rows` moved, encoded anew from there."""
         with torch.no_grad():
-            moved = self.stepped(rows_of(self.stage, x, rows)[1], steps)
+            moved = self.after_steps(rows_of(self.stage, x, rows)[1], steps)
             motion = moved.motion(self.stage.prior, self.body)
             moved = Unknowns.of(self.stage.prior, motion, moved.scene, self.body)
             if len(rows) == len(x.scene.offsets):

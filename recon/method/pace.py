@@ -38,7 +38,7 @@ def paced(sensor: S, pace: float = PACE) -> S:
     if sensor.sees == "surface":
         step = int(sensor.fps / pace)
         fewer: dict[str, Any] = {"fps": sensor.fps / step}
-        return sensor.derived(**fewer, **sensor.some_frames(range(0, sensor.moments, step)))
+        return sensor.derived(**fewer, **sensor.fields_at(range(0, sensor.moments, step)))
     view = sensor.view
     if sensor.named is None and (view is None or view.camera.T_camera_world.shape[-3] > 1):
         return sensor

@@ -65,7 +65,7 @@ class Hypotheses(Generic[S]):
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
 
-    def proposed(
+    def with_proposals(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"], tuple[str, ...]]:
         """Replace each row by the hypotheses that `proposals` finds for it, if any.
@@ -107,7 +107,7 @@ class Hypotheses(Generic[S]):
             self.clips, value.detach().cpu(), remains, motion.detach().to(device="cpu")
         )
 
-    def of(self, stage: Stage[S]) -> Stage[S]:
+    def stage_for_rows(self, stage: Stage[S]) -> Stage[S]:
         """Return the stage with its data repeated for the rows: for each the data of its clip."""
         return stage if self.clip is None else stage.rows(self.clip)
 
@@ -146,9 +146,9 @@ def run_hypotheses(
         if stage.prior is not held.prior:
             held = _encoded_anew(held, stage.prior, body)
         if stage.proposals is not None:
-            held, origin, began = held.proposed(stage.proposals, body)
+            held, origin, began = held.with_proposals(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
-        stage = held.of(stage)
+        stage = held.stage_for_rows(stage)
         unknowns, solution = _run_stage(stage, body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
         reports.append(StageReport(stage, solution, perf_counter() - started, began=began))
@@ -165,7 +165,7 @@ def ranking_objective(
     stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
 ) -> Float[Tensor, " rows"]:
     """Return the value by which a stage ranks each row: its `ranking` terms, or its terms."""
-    ranked = hypotheses.of(replace(stage, terms=stage.ranking or stage.terms))
+    ranked = hypotheses.stage_for_rows(replace(stage, terms=stage.ranking or stage.terms))
     with torch.no_grad():
         estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)
         return ranked.values(estimate).sum(-1)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
     from recon.core.camera import Camera
-else:  # only annotations name these classes: at run time their modules need not be loaded
+else:  # at run time Any replaces these, whose modules need not be imported
     from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
@@ -238,7 +238,7 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
+    def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
         """Return a mask of the joints that the data of each frame locate.
 
         The default, None, means unknown.
@@ -261,7 +261,7 @@ class Sensor(TensorStruct):
             body, self.clips, self.moments, fps=self.fps, start_time=self.start_time
         )
 
-    def settled(self: R, scene: Scene) -> R:
+    def with_constants_of(self: R, scene: Scene) -> R:
         """Return the sensor with the scene's offsets and lens inserted as known constants."""
         del scene
         return self
@@ -271,7 +271,7 @@ class Sensor(TensorStruct):
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         numbers = moment_numbers(**clock)
         first: dict[str, Any] = {"start_time": self.start_time + numbers.start / self.fps}
-        return self.derived(**first, **self.some_frames(numbers))
+        return self.derived(**first, **self.fields_at(numbers))
 
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
         """Return the data of every `step`-th frame, or of all frames if most are empty."""
@@ -279,14 +279,14 @@ class Sensor(TensorStruct):
         if self._mostly_empty:
             return self
         fewer: dict[str, Any] = {"fps": self.fps / step}
-        return self.derived(**fewer, **self.some_frames(range(0, self.moments, step)))
+        return self.derived(**fewer, **self.fields_at(range(0, self.moments, step)))
 
     @property
     def _mostly_empty(self) -> bool:
         """Whether more than half of the frames show no point."""
         return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
 
-    def thinned(self: R, most: int) -> R:
+    def with_at_most_points(self: R, most: int) -> R:
         """Return the data with at most `most` points per frame, if its points are unordered."""
         del most
         return self
@@ -302,7 +302,7 @@ class Sensor(TensorStruct):
         faster: dict[str, Any] = {"fps": self.fps * times}
         return self.derived(
             **faster,
-            **self.by_frame(lambda tensor: with_empty_frames_between(tensor, axis, times)),
+            **self.map_frames(lambda tensor: with_empty_frames_between(tensor, axis, times)),
         )
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
@@ -326,21 +326,21 @@ class Sensor(TensorStruct):
         del distance
         return self
 
-    def some_frames(self, numbers: range) -> dict[str, Any]:
+    def fields_at(self, numbers: range) -> dict[str, Any]:
         """Return the fields with an axis of frames at the frames `numbers`, else zero."""
         axis = len(self.clips)
         number = torch.tensor(numbers, dtype=torch.long)
         exists = (number >= 0) & (number < self.moments)
 
-        def at(tensor: Tensor) -> Tensor:
+        def at_numbers(tensor: Tensor) -> Tensor:
             there = number.clamp(0, self.moments - 1).to(tensor.device)
             shape = (-1, *(1,) * (tensor.ndim - axis - 1))
             return tensor.index_select(axis, there) * exists.to(tensor.device).reshape(shape)
 
         camera = {} if self._camera is None else {"camera": self._camera.at(numbers)}
-        return self.by_frame(at) | camera
+        return self.map_frames(at_numbers) | camera
 
-    def by_frame(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
+    def map_frames(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
         """Apply a function to every field that has an axis of frames; return these fields."""
         found: dict[str, Any] = {}
         for name in self.timed:

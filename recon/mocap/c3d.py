@@ -56,7 +56,7 @@ class Header:
     """Samples of every analog channel per frame of points."""
 
     @property
-    def order(self) -> str:
+    def byte_order(self) -> str:
         """Byte order of the file, as numpy and struct write it."""
         return ">" if self.processor == MIPS else "<"
 
@@ -245,7 +245,7 @@ def read_parameters(data: bytes, header: Header) -> dict[str, _Parameters]:
         length, group = struct.unpack_from("bb", data, place)
         after = place + 2 + abs(length)
         name = data[place + 2 : after].decode("latin-1").strip().upper()
-        step = struct.unpack_from(f"{header.order}h", data, after)[0]
+        step = struct.unpack_from(f"{header.byte_order}h", data, after)[0]
         if group < 0:
             groups[-group] = name
         else:
@@ -269,7 +269,7 @@ def _read_parameter(data: bytes, place: int, header: Header) -> np.ndarray | tup
         return tuple(text[k : k + width].strip("\0 ") for k in range(0, len(text), width or 1))
     if size == 4:
         return _doubles(raw, header.processor)
-    return np.frombuffer(raw, header.order + _TYPES.get(size, "u1"))
+    return np.frombuffer(raw, header.byte_order + _TYPES.get(size, "u1"))
 
 
 def _read_points(
@@ -305,7 +305,7 @@ def _read_numbers(
             "and is cut short or damaged"
         )
     SAMPLES.check(frames * header.points, path, "header")
-    kind = header.order + ("f4" if real else integer)
+    kind = header.byte_order + ("f4" if real else integer)
     table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)
     table = np.ascontiguousarray(table[:, columns])
     if not real:

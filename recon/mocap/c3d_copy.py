@@ -52,7 +52,7 @@ def write_renamed_c3d(
     width = header.points * point + header.analog * point // 4
     rows = np.frombuffer(data, np.uint8, frames * width, start).reshape(frames, width)
     points = rows[:, : header.points * point].reshape(frames, header.points, point)
-    short = struct.pack(f"{header.order}4h", 0, 0, 0, -1)
+    short = struct.pack(f"{header.byte_order}4h", 0, 0, 0, -1)
     unseen = np.frombuffer(_UNSEEN[header.processor] if real else short, np.uint8)
     index = np.array(chosen)[columns]
     moved = np.where(columns[..., None] >= 0, points[np.arange(frames)[:, None], index], unseen)
@@ -71,8 +71,8 @@ def write_renamed_c3d(
     size = len(_parameter_section(data, header, texts, len(new), 0))
     data_start = (before + size) // c3d.BLOCK + 1
     out = bytearray(data[:before]) + _parameter_section(data, header, texts, len(new), data_start)
-    struct.pack_into(f"{header.order}H", out, 2, len(new))
-    struct.pack_into(f"{header.order}H", out, 16, data_start)
+    struct.pack_into(f"{header.byte_order}H", out, 2, len(new))
+    struct.pack_into(f"{header.byte_order}H", out, 16, data_start)
     out += body.tobytes() + data[start + frames * width :]
     out += bytes(-len(out) % c3d.BLOCK)
     path.write_bytes(out)
@@ -93,7 +93,7 @@ def _parameter_section(
             if name == word and texts[word]:
                 parts += _text_entries(entry, word, texts[word], header)
         elif number == points and name in numbers:
-            raw = struct.pack(f"{header.order}H", numbers[name])
+            raw = struct.pack(f"{header.byte_order}H", numbers[name])
             parts.append(_with_values(entry, raw, 2, (), header))
         else:
             parts.append(entry)
@@ -110,10 +110,10 @@ def _parameter_entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, 
         length, number = struct.unpack_from("bb", data, place)
         after = place + 2 + abs(length)
         name = data[place + 2 : after].decode("latin-1").strip().upper()
-        step = struct.unpack_from(f"{header.order}h", data, after)[0]
+        step = struct.unpack_from(f"{header.byte_order}h", data, after)[0]
         end = after + step if step > 0 else _end_of_last_entry(data, after + 2, number)
         entry = bytearray(data[place:end])
-        struct.pack_into(f"{header.order}h", entry, 2 + abs(length), end - after)
+        struct.pack_into(f"{header.byte_order}h", entry, 2 + abs(length), end - after)
         found.append((number, name, bytes(entry)))
         if step <= 0:
             break
@@ -156,4 +156,4 @@ def _with_values(
     dimensions = entry[place + 4 : place + 4 + rank]
     after = place + 4 + rank + abs(old) * int(np.prod(list(dimensions)))
     tail = struct.pack("bB", size, len(shape)) + bytes(shape) + raw + entry[after:]
-    return entry[:place] + struct.pack(f"{header.order}h", 2 + len(tail)) + tail
+    return entry[:place] + struct.pack(f"{header.byte_order}h", 2 + len(tail)) + tail

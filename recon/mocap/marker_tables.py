@@ -60,7 +60,7 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     values = numbers_of_columns(rows[start + 1 :], [1, *wanted], name, most=len(rows[start]))
     rate = said.get("Export Frame Rate") or said.get("Capture Frame Rate") or ""
     declared = parse_unit(said.get("Length Units", ""))
-    return _in_metres(
+    return _recording_in_metres(
         name, labels, values[:, 1:], rate, unit, up, declared, "y", float(values[0, 0])
     )
 
@@ -93,7 +93,7 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     values = numbers_of_columns(cells, range(width), name, most=width)
     start = float(values[0, 1]) if timed and len(values) else 0.0
     rate = (head.get("FREQUENCY") or [""])[0]
-    return _in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
+    return _recording_in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
 
 
 def _is_number(cell: str) -> bool:
@@ -104,7 +104,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _in_metres(
+def _recording_in_metres(
     name: str,
     labels: Sequence[str],
     values: Float[np.ndarray, "time numbers"],

@@ -73,7 +73,7 @@ def read_recording(
     )
 
 
-def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
+def bvh_texts_in_archive(path: Path) -> Iterator[tuple[str, str]]:
     """Yield name and text of every .bvh file in an archive, without unpacking it to disk.
 
     Raises:
@@ -104,7 +104,7 @@ def read_member(
         ValueError: when there is no such recording, or it is damaged.
     """
     seen: dict[str, str] = {}
-    for name, text in iterate_texts(path):
+    for name, text in bvh_texts_in_archive(path):
         if member in (name, Path(name).name, Path(name).stem):
             return parse_bvh(text, name, unit=unit, up=up)
         seen[name] = text if not seen else ""

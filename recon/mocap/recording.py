@@ -162,7 +162,7 @@ def settle_skeleton(
     arrays = (raw.positions, raw.orientations, raw.rest_offsets)
     if not all(np.isfinite(array).all() for array in arrays):
         raise FormatError(f"{raw.name}: expected finite numbers, got NaN or infinity")
-    length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
+    length = head_to_foot_length(raw.joint_names, raw.parents, raw.rest_offsets)
     unit, reason = _decided_unit(unit, declared, length, told.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
     up_reason = f"up axis {up}: given"
@@ -333,7 +333,7 @@ def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
     return dataclasses.replace(kept, decisions=(*recording.decisions, reason))
 
 
-def head_to_foot(
+def head_to_foot_length(
     names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "joints 3"]
 ) -> float:
     """Longest path along the bones from a head joint to a foot joint, in the offsets' unit.

@@ -143,12 +143,12 @@ def _common_ground(
     mean /= np.linalg.norm(mean)
     side = np.linalg.svd(mean[None])[2][1:]
 
-    def parts(x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    def ground_and_factors(x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         normal = mean + x[:2] @ side
         return normal / np.linalg.norm(normal), float(np.exp(x[2])), np.exp(x[3:])
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        normal, above, factors = parts(x)
+        normal, above, factors = ground_and_factors(x)
         out = [x[3:] / _SIZE]
         for spots, up, factor in zip(places, ups, factors, strict=True):
             # heights are divided by the person's scale: else the smallest scales would fit best
@@ -164,7 +164,7 @@ def _common_ground(
 
     above = max(float(np.mean([-(spots @ mean).min() for spots in places])), 0.1)
     found = least_squares(residuals, np.array([0.0, 0.0, np.log(above), *[0.0] * len(places)]))
-    return parts(found.x)
+    return ground_and_factors(found.x)
 
 
 def _pseudo_huber_residual(residual: Any) -> Any:

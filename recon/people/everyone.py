@@ -13,7 +13,7 @@ from recon.detections.tables import holds_detections
 from recon.fitting.records import Clip, clip_between, seen_times
 from recon.fitting.settings import FitSettings
 from recon.formats.producers import is_film
-from recon.reading.clip import DETECTIONS, clip_of_files, files_of_projects, format_errors
+from recon.reading.clip import DETECTIONS, as_format_errors, clip_of_files, files_of_projects
 from recon.reading.same_person import everybody_across_views
 from recon.reading.tracks import Track
 from recon.reading.views import SeenViews, Views, read_views
@@ -64,7 +64,7 @@ def people_in(
         FormatError: when it is something else than detections, cannot be read, or options are
             missing; says what to do.
     """
-    with format_errors():
+    with as_format_errors():
         paths, settings, projects = files_of_projects(paths, settings)
         for path in paths:
             known = path.suffix.lower() in DETECTIONS or is_film(path) or holds_detections(path)
@@ -76,7 +76,7 @@ def people_in(
         if settings.masks is not None:
             raise ObservationError("--masks are of one person; leave them out with --person all")
         seen = read_views(paths, settings, settings.between)
-        found = everyone(seen)
+        found = grouped_people(seen)
         people: list[PersonClip] = []
         first, last = settings.between or (-math.inf, math.inf)
         elsewhen: list[str] = []
@@ -98,13 +98,13 @@ def people_in(
     return tuple(people), (*notes, *seen.decisions, *found.decisions, *elsewhen)
 
 
-def everyone(seen: SeenViews) -> Everyone:
+def grouped_people(seen: SeenViews) -> Everyone:
     """Group the tracks of all views by person; return the keypoints of each person.
 
     Raises:
         ValueError: when a view shows nobody, or nobody is seen for half a second.
     """
-    views = seen.followed()
+    views = seen.tracked_views()
     notes: list[str] = []
     if len(views) == 1:
         groups: list[tuple[int, list[Track | None]]] = [(t.number, [t]) for t in views[0].tracks]
@@ -118,7 +118,7 @@ def everyone(seen: SeenViews) -> Everyone:
         if seconds < _LEAST_SECONDS or _completeness(tracks) < _LEAST_SHARE * best:
             notes.append(f"left out, seen too little: {note}")
             continue
-        people.append(SeenPerson(number, seen.of(tracks, [note]), note))
+        people.append(SeenPerson(number, seen.views(tracks, [note]), note))
     if len(people) == 0:
         raise ObservationError(
             f"{', '.join(seen.names)}: nobody is seen for {_LEAST_SECONDS} s; there are "

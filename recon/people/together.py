@@ -110,7 +110,7 @@ def fit_people(
     ]
     results = _fit_each(numbers, clips, prior, each)
     if shared is not None:
-        results = [_on_one_floor(one) for one in results]
+        results = [_with_common_floor(one) for one in results]
     return People(tuple(results), numbers, shared is not None, tuple(notes))
 
 
@@ -157,7 +157,7 @@ def fit_files(
     return fit_people(people, body=model, notes=notes, noise=noise, ground=ground_of_fit, **how)
 
 
-def _on_one_floor(result: Result) -> Result:
+def _with_common_floor(result: Result) -> Result:
     """Replace a result's warning about the ground by one for a ground that people share."""
     return replace(
         result,

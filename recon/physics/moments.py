@@ -12,7 +12,7 @@ from recon.body.parts import GRAVITY, vertex_masses_of_segments
 from recon.core.motion import Motion
 from recon.core.skeleton import descendants, joint_index
 from recon.physics.dynamics import body_dynamics, difference_step
-from recon.physics.forces import GroundForces, held_at_ends
+from recon.physics.forces import GroundForces, ends_repeated
 from recon.physics.plates import MeasuredForces
 
 PLATE_STD, PLATE_CENTRE_STD_M = 0.01, 0.01
@@ -84,9 +84,9 @@ def joint_moments(
         moving = body_dynamics(posed, masses * below, motion.fps)
         place = posed.joints[:, joint].numpy()
         mass = float(moving.mass)
-        pull = mass * held_at_ends(moving.acceleration, step).numpy() + [0, 0, mass * GRAVITY]
-        arm = held_at_ends(moving.centre, step).numpy() - place
-        own = held_at_ends(moving.spin, step).numpy() + np.cross(arm, pull)
+        pull = mass * ends_repeated(moving.acceleration, step).numpy() + [0, 0, mass * GRAVITY]
+        arm = ends_repeated(moving.centre, step).numpy() - place
+        own = ends_repeated(moving.spin, step).numpy() + np.cross(arm, pull)
         lever, load = centre[:, side] - place, force[:, side]
         whole = own - np.cross(lever, load) - torque[:, side]
         moments[name] = (whole * axis).sum(-1)

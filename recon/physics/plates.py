@@ -35,7 +35,7 @@ class MeasuredForces:
     """Whether the foot was alone on a plate."""
     warnings: tuple[str, ...]
 
-    def compared(self, found: GroundForces) -> dict[str, dict[str, Any]]:
+    def errors_of(self, found: GroundForces) -> dict[str, dict[str, Any]]:
         """Return the errors of estimated forces against the measured ones, by foot.
 
         Root mean square of the vertical force in % of the weight, error of its impulse in %, and

@@ -129,10 +129,10 @@ def foot_energy(
         height: above the height at which the joint touches, metres; h is what exceeds 2 cm.
         squared_speed: v², m²/s².
     """
-    return heavy_tailed(_unrest_of(height, squared_speed))
+    return heavy_tailed(_unrest_nats(height, squared_speed))
 
 
-def _unrest_of(height: Tensor, squared_speed: Tensor) -> Tensor:
+def _unrest_nats(height: Tensor, squared_speed: Tensor) -> Tensor:
     away = (height.abs() - TOLERANCE).clamp(min=0)
     return 0.5 * ((away / HEIGHT).square() + squared_speed / SPEED**2)
 
@@ -158,7 +158,7 @@ def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     speed = feet.diff(dim=-3).square().sum(-1) * fps**2
     frames = height.shape[-2]
     before, after = speed[..., span - 1 :, :], speed[..., span:, :]
-    return _unrest_of(height, 0.5 * (before[..., :frames, :] + after[..., :frames, :]))
+    return _unrest_nats(height, 0.5 * (before[..., :frames, :] + after[..., :frames, :]))
 
 
 def _energies_of_pairs(

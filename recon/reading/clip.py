@@ -26,19 +26,19 @@ from recon.formats.projects import Project, project_at
 from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import (
-    from_recording,
-    holds_markers,
+    holds_labelled_points,
     holds_points_3d,
     marker_recording,
     opencap_markers,
+    points_of_recording,
     read_points_3d,
 )
 from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of
-from recon.reading.keypoints3d import settled
-from recon.reading.places import load_silhouettes, masked
-from recon.reading.points import points_settled, positions_of
+from recon.reading.keypoints3d import points_in_metres
+from recon.reading.places import inside_silhouettes, load_silhouettes
+from recon.reading.points import positions_in_metres, positions_of
 from recon.reading.readers import Reader, read_by, readers
 from recon.reading.views import read_views
 
@@ -62,7 +62,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     """
     if len(paths) == 0:
         raise ObservationError("nothing to fit: expected at least one observation file, got none")
-    with format_errors():
+    with as_format_errors():
         own = readers(settings.reader)
         paths, settings, projects = files_of_projects(paths, settings)
         files: list[tuple[str, Content]] = []
@@ -82,7 +82,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "one clip is of one person; `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
-        views = read_views(detections, settings, settings.between).person(settings.person)
+        views = read_views(detections, settings, settings.between).views_of_person(settings.person)
         shown = views.files
         if settings.masks is not None:
             if len(shown) != 1:
@@ -91,7 +91,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                     "of each view to an observation file first"
                 )
             mask = load_silhouettes(settings.masks)
-            shown = (masked(shown[0], mask, first_frame=views.first_frame),)
+            shown = (inside_silhouettes(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
         clip = _clip_of_one_person(files, [*notes, *views.decisions], settings, body)
         span = views.shot
@@ -117,11 +117,11 @@ def _read_path(
     if is_film(path):
         return None
     refuse_others(path, "fit")
-    if path.is_file() and holds_markers(path):
+    if path.is_file() and holds_labelled_points(path):
         return _labelled_points(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
         person = None if settings.person == "all" else settings.person
-        file = settled(
+        file = points_in_metres(
             read_points_3d(path, person=person), body, fps=settings.frame_rate,
             unit=settings.unit, up=settings.up, hand=settings.hand, layout=settings.layout,
         )  # fmt: skip
@@ -158,12 +158,12 @@ def _labelled_points(
 
         return seen_markers(recording, body, settings.mapping, settings.robust, settings.hand)
     if file is None:
-        points = from_recording(recording)
-        file = settled(
+        points = points_of_recording(recording)
+        file = points_in_metres(
             points, body, fps=settings.frame_rate, hand=settings.hand, layout=settings.layout
         )
     else:
-        file = points_settled(file, path, body, up="z", hand=settings.hand)
+        file = positions_in_metres(file, path, body, up="z", hand=settings.hand)
     return _sensor_of_points(file, path, body, settings)
 
 
@@ -176,7 +176,7 @@ def _sensor_of_points(
 
 
 @contextmanager
-def format_errors() -> Iterator[None]:
+def as_format_errors() -> Iterator[None]:
     """Within this context, raise any ValueError of a reader as a `FormatError`."""
     try:
         yield
@@ -268,7 +268,7 @@ def clip_of_files(
             if not posed[k] and T is None:
                 T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
         elif isinstance(file, PositionsFile):
-            points = points_settled(
+            points = positions_in_metres(
                 file, name, body, unit=settings.unit, up=settings.up, hand=settings.hand
             )
             found[k], said = _sensor_of_points(points, name, body, settings)

@@ -24,12 +24,12 @@ from recon.core.planes import (
 )
 from recon.formats.cameras import CameraArrays
 from recon.formats.observations import PointsFile
-from recon.reading.images import pinhole
-from recon.reading.moving_sensor import eye_of, sensor_movement
+from recon.reading.images import undistorted_camera
+from recon.reading.moving_sensor import sensor_movement, sensor_position
 
 _LARGE = 0.4
 """Share of the largest thing's points that another one has which may be the person."""
-_BESIDE = 0.5
+_MIN_SEPARATION_M = 0.5
 """Metres, along the ground, between the middles of things that are no parts of one person. An
 occluder may divide a body in two, which stand above each other."""
 _TALL = 1.0
@@ -51,7 +51,7 @@ class _PersonClusters:
     """Share of the largest one's points that the second has."""
 
 
-def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
+def clusters_of_one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
     """Choose a cluster per frame: the largest in the clearest frame, then from there the nearest.
 
     The largest cluster of every frame would jump from one person to another.
@@ -81,7 +81,7 @@ def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray]
             last = one.middles[chosen]
             kept[k] = clouds[k][one.label == chosen]
             away = np.linalg.norm((one.middles - last)[:, :2], axis=-1)
-            beside += bool(((away > _BESIDE) & (one.sizes > _TALL)).any())
+            beside += bool(((away > _MIN_SEPARATION_M) & (one.sizes > _TALL)).any())
     return kept, beside if beside > _OFTEN * len(frames) else 0
 
 
@@ -197,7 +197,7 @@ def cloud_of(
         clouds = [cloud[in_front_of_plane(cloud, *wall)] for cloud in clouds]
     shown = [cloud for cloud in clouds if len(cloud) > 1]
     sparse = _SPACINGS * point_spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
-    person, beside = one_person(clouds, max(_REACH, sparse))
+    person, beside = clusters_of_one_person(clouds, max(_REACH, sparse))
     left_out = 1 - sum(map(len, person)) / max(sum(map(len, clouds)), 1)
     if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or beside > 0:
         clouds = person
@@ -227,7 +227,7 @@ def cloud_of(
         padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
     camera = None
     if file.camera is not None:
-        view = pinhole(file.camera, T, torch.float64).map(lambda t: t[None])
+        view = undistorted_camera(file.camera, T, torch.float64).map(lambda t: t[None])
         camera = view.to(device=body.template.device, dtype=body.template.dtype)
     observation = PointCloud(
         points=torch.from_numpy(padded).to(body.template),
@@ -288,7 +288,7 @@ def _walls(
     """
     if camera is None or camera.poses > 1:
         return []
-    eye = T[:3, :3] @ eye_of(camera) + T[:3, 3]
+    eye = T[:3, :3] @ sensor_position(camera) + T[:3, 3]
     return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]
 
 

@@ -38,8 +38,8 @@ _TRUNK = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 def people_of_film(film: Path, how: ReadOptions) -> list[Views]:
     """Return the 2D keypoints of every person in a film, or in 2D detections of one."""
     seen = read_views([film], how)
-    (view,) = seen.followed()
-    return [seen.of([track], [f"{view.name}: {track}"]) for track in view.tracks]
+    (view,) = seen.tracked_views()
+    return [seen.views([track], [f"{view.name}: {track}"]) for track in view.tracks]
 
 
 def view_of_estimate(
@@ -70,7 +70,7 @@ def view_of_estimate(
     best = int(np.argmin([error for error, _ in found]))
     (error, T), views = found[best], people[best]
     (file,) = views.files
-    doubts = _doubts(file, points)
+    doubts = _order_or_delay_warning(file, points)
     if error > _FAR:
         raise ObservationError(
             f"{views.names[0]}: nobody in the film moves like the estimate; give the film that it "
@@ -93,7 +93,7 @@ def _keypoints_of_motion(motion: Motion, layout: str, body: BodyModel) -> Keypoi
     return Keypoints3D(places, seen, points, motion.fps, motion.start_time)
 
 
-def _doubts(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
+def _order_or_delay_warning(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
     """A warning if reversed or shifted frames of the film fit the estimate clearly better."""
     best, said = _CLEARLY, ""
     for how, both in _reversed_or_shifted(file):

@@ -19,7 +19,7 @@ from recon.formats.cameras import CameraArrays
 from recon.formats.depth_images import at_edge
 from recon.formats.observations import PointsFile
 from recon.formats.scans import POINTS, thinned
-from recon.reading.clip import clip_of_files, format_errors
+from recon.reading.clip import as_format_errors, clip_of_files
 
 _HEEDED = {"frame_rate", "up", "seed", "robust", "ground"}
 """Options of reading that geometries in memory heed."""
@@ -55,7 +55,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     camera = _common_camera([lens for _, lens in pairs]) if pairs else None
     if camera is not None and settings.up is not None:
         raise ObservationError("leave out `up`: depth images have the axes of their camera")
-    with format_errors():
+    with as_format_errors():
         FRAME_RATE.check(settings.frame_rate, "geometries", "frame rate")
         clouds = [
             _points_of_geometry(one, k)

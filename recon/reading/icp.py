@@ -120,7 +120,7 @@ def _path_of_moving_points(view: OrientedCloud) -> dict[int, Float[np.ndarray, "
     return {k: np.median(some, axis=0) * (1, 1, 0) for k, some in shown if len(some)}
 
 
-def aligned(
+def poses_aligned(
     views: Sequence[OrientedCloud],
     poses: Float[np.ndarray, "cameras 4 4"],
     base: int,

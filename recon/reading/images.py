@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations.camera_paths import keypoint_feet, with_path_in_metres
+from observations.camera_paths import feet_in_camera, with_path_in_metres
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
@@ -34,7 +34,7 @@ def keypoints_of(
         raise ObservationError(
             f"layout {file.layout} has {len(points.known)} keypoints, got {file.pixels.shape[1]}"
         )
-    camera, path = pinhole(file.camera, T_recording_camera), file.camera.path
+    camera, path = undistorted_camera(file.camera, T_recording_camera), file.camera.path
     pixels = torch.from_numpy(undistorted(file)).float()[None]
     confidence = torch.from_numpy(file.confidence).float()[None] * points.known
     view = Keypoints2D(
@@ -50,9 +50,9 @@ def keypoints_of(
         level=path is not None and path.level,
         unit_known=path is None or path.metric,
         lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
-        fingers=_straight_fingers(file),
+        fingers=_undistorted_fingers(file),
     )
-    return view if view.unit_known else with_path_in_metres(view, keypoint_feet(view, body))
+    return view if view.unit_known else with_path_in_metres(view, feet_in_camera(view, body))
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
@@ -66,7 +66,7 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     return np.where(written, 0.0, straightened(file.pixels, file.camera))
 
 
-def _straight_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
+def _undistorted_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
     """Return the hand keypoints without lens distortion; None if the file has none."""
     if file.fingers is None:
         return None
@@ -75,7 +75,7 @@ def _straight_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] |
     return np.where(file.fingers[..., 2:] > 0, fingers, 0.0)[None]
 
 
-def pinhole(
+def undistorted_camera(
     arrays: CameraArrays,
     T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
     dtype: torch.dtype = torch.float32,

@@ -15,7 +15,7 @@ from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.scans import cloud_files
-from recon.keypoints3d.reader import body_file, time_stamps
+from recon.keypoints3d.reader import session_body_file, session_time_stamps
 from recon.mocap.asf_amc import recording_files
 from recon.reading.places import files_of_views
 
@@ -62,8 +62,8 @@ def observation_input(path: Path) -> InputFiles:
         return InputFiles(path, (path,))
     if holds_sam3d_body(path):
         return InputFiles(path, _files_inside(path, (".npz",)))
-    if session := body_file(path):
-        stamps = time_stamps(path)
+    if session := session_body_file(path):
+        stamps = session_time_stamps(path)
         return InputFiles(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:

@@ -16,8 +16,8 @@ from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
-from recon.keypoints3d.labels import hands_apart, meant_keypoints
-from recon.keypoints3d.reader import with_rate
+from recon.keypoints3d.labels import meant_keypoints, split_off_hands
+from recon.keypoints3d.reader import with_known_rate
 from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
 
@@ -42,7 +42,7 @@ _ANKLE = 0.07
 _SHOULDERS = ("left_shoulder", "right_shoulder", "neck", f"neck{JOINT}")
 
 
-def settled(
+def points_in_metres(
     raw: Points3D,
     body: BodyModel,
     *,
@@ -68,8 +68,8 @@ def settled(
             found and which option decides.
     """
     check_override(unit)
-    raw, hands = hands_apart(raw)
-    known = _upper_neck_renamed(_with_known_names(with_rate(raw, fps), body, layout))
+    raw, hands = split_off_hands(raw)
+    known = _upper_neck_renamed(_with_known_names(with_known_rate(raw, fps), body, layout))
     metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)

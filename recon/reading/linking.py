@@ -18,9 +18,9 @@ from recon.detections.records import Detections
 from recon.reading.assignments import BEGINS, cheapest_assignments
 from recon.reading.places import (
     FEWEST_KEYPOINTS,
-    gap,
+    centre_of,
+    keypoint_distance,
     log_trunk_length,
-    middle_of,
     pose_change,
     size_of,
     without_fragments,
@@ -142,7 +142,7 @@ def largest_allowed_distance(unseen_frames: int) -> float:
     return min(_GATE + _GATE_GROWTH * unseen_frames, _GATE_LIMIT)
 
 
-def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLinks:
+def link_detections(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLinks:
     """Link detections over time; return which person every detection belongs to.
 
     Args:
@@ -151,7 +151,7 @@ def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLink
     """
     found = _LinkSearch(detections, rows)
     for frame in np.unique(detections.frame[rows]).tolist():
-        found.step(frame)
+        found.link_frame(frame)
     return found.links()
 
 
@@ -166,7 +166,7 @@ class _LinkSearch:
         self.spread = self._usual_spread()
         self.followed = [_Assignment((), 0.0, None, 0)]
 
-    def step(self, frame: int) -> None:
+    def link_frame(self, frame: int) -> None:
         """Link the detections of the next frame."""
         every = self.rows[self.seen.frame[self.rows] == frame].tolist()
         alive = [
@@ -220,7 +220,7 @@ class _LinkSearch:
         ]
         kept: list[int] = []
         for row in sorted(rows, key=lambda r: -float(self.seen.confidence[r].sum())):
-            doubles = sum(gap(self.seen, row, other) < _SAME_PLACE for other in kept)
+            doubles = sum(keypoint_distance(self.seen, row, other) < _SAME_PLACE for other in kept)
             if doubles < max(sum(self._is_near(row, place) for place in lately), 1):
                 kept.append(row)
         return sorted(kept)
@@ -241,7 +241,7 @@ class _LinkSearch:
         ]
         for one, two in pairwise(by_frame):
             for a in one.tolist():
-                nearest = min(two.tolist(), key=lambda b, a=a: gap(self.seen, a, b))
+                nearest = min(two.tolist(), key=lambda b, a=a: keypoint_distance(self.seen, a, b))
                 near.append(pose_change(self.seen, a, nearest))
         usual = np.median(near) if near else np.inf
         return float(np.clip(usual, *_SPREADS))
@@ -262,7 +262,7 @@ class _LinkSearch:
                     away = self.seen.pixels[row, both] - expected[both]
                     still = self.seen.pixels[row, both] - person.pixels[both]
                 else:
-                    middle = middle_of(self.seen, row)
+                    middle = centre_of(self.seen, row)
                     away = middle - expected[person.known].mean(0, keepdims=True)
                     still = middle - person.pixels[person.known].mean(0, keepdims=True)
                 least = min(np.linalg.norm(way.mean(0)) for way in (away, still))
@@ -366,11 +366,11 @@ def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     )
     if not changed:
         return best
-    doubt = _first_difference(best.frames, other.frames), changed
+    doubt = _first_differing_frame(best.frames, other.frames), changed
     return replace(best, doubts=(*best.doubts, doubt))
 
 
-def _first_difference(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
+def _first_differing_frame(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
     """Return the first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:

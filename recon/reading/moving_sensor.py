@@ -44,7 +44,7 @@ def sensor_movement(
     shown = [cloud for cloud in clouds if len(cloud) > 0]
     every = max(1, sum(map(len, shown)) // _SAMPLE)
     middle = np.median(np.concatenate(shown)[::every], axis=0)
-    seen = _planes_in_stretches(shown, eye_of(camera), up)
+    seen = _planes_in_stretches(shown, sensor_position(camera), up)
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
@@ -81,7 +81,7 @@ class _PlanesInStretch:
     walls: tuple[Plane, ...]
 
 
-def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
+def sensor_position(camera: CameraArrays) -> Float[np.ndarray, "3"]:
     """Return the position of a fixed sensor in the frame of its points, metres."""
     pose = camera.T_camera_world
     return np.zeros(3) if pose is None else np.linalg.inv(pose[0])[:3, 3]

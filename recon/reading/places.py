@@ -51,12 +51,12 @@ def log_trunk_length(detections: Detections, row: int) -> float:
     return float(np.log(max(np.linalg.norm(ends[0] - ends[1]), 1.0)))
 
 
-def middle_of(detections: Detections, row: int) -> Float[np.ndarray, "1 2"]:
+def centre_of(detections: Detections, row: int) -> Float[np.ndarray, "1 2"]:
     """Mean place of the keypoints of a detection."""
     return detections.pixels[row, detections.confidence[row] > 0].mean(0, keepdims=True)
 
 
-def gap(detections: Detections, a: int, b: int) -> float:
+def keypoint_distance(detections: Detections, a: int, b: int) -> float:
     """Mean distance of the keypoints that two detections share, in body sizes; infinite if few."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
@@ -66,7 +66,7 @@ def gap(detections: Detections, a: int, b: int) -> float:
 
 
 def pose_change(detections: Detections, a: int, b: int) -> float:
-    """Change of the pose: the `gap` after removing the common displacement of all keypoints."""
+    """Change of pose: `keypoint_distance` without the displacement common to all keypoints."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
@@ -75,7 +75,7 @@ def pose_change(detections: Detections, a: int, b: int) -> float:
     return float(apart) / _larger_size(detections, a, b)
 
 
-def distance(detections: Detections, a: int, b: int) -> float:
+def centre_distance(detections: Detections, a: int, b: int) -> float:
     """Distance of the centres of two detections, over the keypoints both show, in body sizes."""
     seen_a, seen_b = detections.confidence[a] > 0, detections.confidence[b] > 0
     both = seen_a & seen_b
@@ -96,7 +96,10 @@ def without_fragments(
         last_rows: the last detections of everybody seen before.
     """
     strength = detections.confidence.sum(1)
-    near = {row: {own for own in last_rows if gap(detections, own, row) < _PIECE} for row in rows}
+    near = {
+        row: {own for own in last_rows if keypoint_distance(detections, own, row) < _PIECE}
+        for row in rows
+    }
     lesser: set[int] = set()
     for a in near:
         for b in near:
@@ -258,7 +261,9 @@ def load_silhouettes(path: str | Path) -> Silhouettes:
     return Silhouettes(str(path), dict(enumerate(read_packed_masks(path))))
 
 
-def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> KeypointsFile:
+def inside_silhouettes(
+    file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0
+) -> KeypointsFile:
     """The observation without the keypoints that fall outside the silhouette of their frame.
 
     A silhouette is widened by `MARGIN` pixels. Keypoints outside the image go too; frames

@@ -48,16 +48,16 @@ def positions_of(
         file: as read.
         path: of the file, for messages.
         body: to compare the size with.
-        unit: as of `points_settled`.
-        up: as of `points_settled`.
-        hand: as of `points_settled`.
+        unit: as of `positions_in_metres`.
+        up: as of `positions_in_metres`.
+        hand: as of `positions_in_metres`.
         robust: distance in metres beyond which a point counts ever less; None is least squares.
 
     Raises:
         ValueError: when nothing is visible in it, a name is unknown, or unit or axis are wrong;
             the message says what to do.
     """
-    file = points_settled(file, path, body, unit=unit, up=up, hand=hand)
+    file = positions_in_metres(file, path, body, unit=unit, up=up, hand=hand)
     places, _ = _places_on_body(file, path, body)
     kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
     visible = torch.from_numpy(file.visible)[None]
@@ -74,7 +74,7 @@ def positions_of(
     return Markers3D(*given, std=file.std)
 
 
-def points_settled(
+def positions_in_metres(
     file: PositionsFile,
     path: str | Path,
     body: BodyModel,

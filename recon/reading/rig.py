@@ -158,13 +158,13 @@ def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...
     coarse = max(1, longest // _COARSE)
     found = [0]
     for view in views[1:]:
-        off = cache(lambda frames, view=view: _disagreement(views[0], view.shifted(frames)))
+        off = cache(lambda frames, view=view: _epipolar_misfit(views[0], view.shifted(frames)))
         best = min(range(-longest // coarse * coarse, longest + 1, coarse), key=off)
         found.append(best if off(best) < _BETTER * off(0) else 0)
     return tuple(found)
 
 
-def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
+def _epipolar_misfit(one: FilmedPerson, other: FilmedPerson) -> float:
     """Mean Sampson distance of shared points from their epipolar lines.
 
     In standard deviations of a detector, each at most two; infinite where the views share too few.
@@ -299,7 +299,7 @@ def _bundle_adjusted(
     told = [v for v, up in enumerate(ups) if up is not None]
     stds = np.array([max(one.focal_std, _FOCAL_STD) for one in views])
 
-    def unpacked(values: np.ndarray) -> tuple[np.ndarray, ...]:
+    def cameras_and_points(values: np.ndarray) -> tuple[np.ndarray, ...]:
         cameras = values[: _UNKNOWNS * len(views)].reshape(-1, _UNKNOWNS)
         turns = Rotation.from_rotvec(cameras[:, :3]).as_matrix()
         found = np.concatenate((turns, cameras[:, 3:6, None]), -1)
@@ -307,7 +307,7 @@ def _bundle_adjusted(
         return found, cameras[:, 6], cameras[:, 7], points
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        found, logs, late, points = unpacked(values)
+        found, logs, late, points = cameras_and_points(values)
         there = np.einsum("oij,oj->oi", found[view, :, :3], points[point]) + found[view, :, 3]
         image = there[:, :2] / np.maximum(there[:, 2:], 1e-3) * np.exp(logs[view])[:, None]
         measured = places[view, point] + late[view, None] * speeds[view, point]
@@ -325,7 +325,7 @@ def _bundle_adjusted(
     found = least_squares(
         residuals, start, jac_sparsity=filled, loss="soft_l1", x_scale="jac", max_nfev=100
     )
-    best, logs, late, _ = unpacked(found.x)
+    best, logs, late, _ = cameras_and_points(found.x)
     return best, np.exp(logs), late
 
 

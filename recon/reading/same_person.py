@@ -53,10 +53,12 @@ def across_views(
             f"{views[0].name}: there is no person {person}; there are {_listed_people(views[:1])}"
         )
     seeds = [(0, person)] if person is not None else _starting_tracks(views)
-    groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
+    groups = [
+        group for group in (pairs.consistent_group(*seed) for seed in seeds) if len(group) > 1
+    ]
     if len(groups) == 0:
         for turned, names in _with_flipped_y(views):
-            if any(len(_TriangulatedPairs(turned).group(*seed)) > 1 for seed in seeds):
+            if any(len(_TriangulatedPairs(turned).consistent_group(*seed)) > 1 for seed in seeds):
                 tracks, said = across_views(turned, person, up_given=up_given)
                 told = (
                     f"y of the keypoints of {names} points up, as rays meet only so: turned down"
@@ -77,7 +79,7 @@ def across_views(
                 "two persons are seen about equally well; choose one with --person, by number in "
                 f"{views[0].name}. There are {_listed_people(views)}"
             )
-    pairs.check_others(best)
+    pairs.check_left_out_views(best)
     error = pairs.check_body(best, up_given=up_given)
     notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
     for v, view in enumerate(views):
@@ -92,7 +94,7 @@ def _with_flipped_y(views: Sequence[TrackedView]) -> Iterator[tuple[list[Tracked
     over = [
         replace(
             view,
-            tracks=tuple(track.turned_over(view.camera.image_size[1]) for track in view.tracks),
+            tracks=tuple(track.flipped_in_y(view.camera.image_size[1]) for track in view.tracks),
         )
         for view in views
     ]
@@ -124,7 +126,7 @@ def everybody_across_views(
     for v, a in _starting_tracks(views):
         if (v, a) in taken:
             continue
-        group = pairs.group(v, a)
+        group = pairs.consistent_group(v, a)
         members = {(w, b) for w, own in group.items() for b in own}
         if len(group) < 2 or members & taken:
             notes.append(
@@ -171,7 +173,7 @@ class _TriangulatedPairs:
         self.views = views
         self._made: dict[tuple[int, int, int, int], Triangulated] = {}
 
-    def get(self, v: int, a: int, w: int, b: int) -> Triangulated:
+    def pair(self, v: int, a: int, w: int, b: int) -> Triangulated:
         """Keypoints triangulated from track a of view v and track b of view w."""
         if v > w:
             v, a, w, b = w, b, v, a
@@ -183,7 +185,7 @@ class _TriangulatedPairs:
         """The smallest triangulation error of any pair of tracks."""
         return min((pair.error for pair in self._made.values()), default=float("inf"))
 
-    def group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:
+    def consistent_group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:
         """Tracks of all views that agree with a track and with each other, by view."""
         group: dict[int, tuple[int, ...]] = {v: (a,)}
         for w, view in enumerate(self.views):
@@ -201,11 +203,11 @@ class _TriangulatedPairs:
     def _errors_with_group(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
         """How badly each track of a view fits a group: its largest error with any member view."""
         return {
-            b: max(min(self.get(v, k, w, b).error for k in group[v]) for v in group)
+            b: max(min(self.pair(v, k, w, b).error for k in group[v]) for v in group)
             for b in range(len(self.views[w].tracks))
         }
 
-    def check_others(self, group: Mapping[int, tuple[int, ...]]) -> None:
+    def check_left_out_views(self, group: Mapping[int, tuple[int, ...]]) -> None:
         """Check that a view that is left out shows other people, else refuse.
 
         Raises:
@@ -218,7 +220,7 @@ class _TriangulatedPairs:
                 if w in group or track.completeness < enough:
                     continue
                 errors = [
-                    self.get(v, a, w, b).error
+                    self.pair(v, a, w, b).error
                     for v, other in enumerate(self.views)
                     for a in range(len(other.tracks))
                     if v != w and a not in group.get(v, ())
@@ -233,7 +235,7 @@ class _TriangulatedPairs:
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
         """Median error of a group whose body has a human size and stands along z."""
         members = [(v, tracks[0]) for v, tracks in group.items()]
-        made = [self.get(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
+        made = [self.pair(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
         pair = min(made, key=lambda pair: pair.error)
         every = triangulated([(self.views[v], number) for v, number in members])
         errors = [float(np.median(miss[every.seen])) for miss in every.misses if every.seen.any()]

@@ -25,7 +25,7 @@ _DRIFT = 1.0
 def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     """Detections in a film or a file that states the size of its images; None for other files."""
     if is_film(path):
-        from recon.films.reader import read_film  # imported here: it loads networks
+        from recon.films.reader import read_film  # imported only for films: loads networks
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
@@ -35,7 +35,7 @@ def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     return None if found is None or found.image_size is None else found
 
 
-def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> float | None:
+def rate_of_views(paths: Sequence[Path], known: Mapping[Path, Detections]) -> float | None:
     """The frame rate that all views state; None where one states none.
 
     Raises:
@@ -135,7 +135,7 @@ def in_one_shot(
     )
 
 
-def levelled(
+def background_camera(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
     """A camera with the path, up direction and focal length that the film's background shows.
@@ -188,7 +188,7 @@ def levelled(
         camera = _with_focal(camera, told.focal)
         level += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
     upright = np.eye(4)
-    upright[:3, :3] = level_turn(told.up)
+    upright[:3, :3] = rotation_to_level(told.up)
     path = CameraPath(upright @ T, metric=metric, level=True)
     return replace(camera, path=path), "; ".join(one for one in (said, level) if one)
 
@@ -237,7 +237,7 @@ def _with_motion(
     return _with_focal(camera, moved.focal), moved, note
 
 
-_BESIDE = 0.3
+_MIN_COSINE_TO_AXIS = 0.3
 """Least cosine between what is seen and the axis of the camera in whose image it is drawn."""
 
 
@@ -253,11 +253,11 @@ def _turned_segments(
     """
     rays = np.concatenate((ends / focal, np.ones((*ends.shape[:2], 1))), -1) @ R.T
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    rays = rays[(rays[..., 2] > _BESIDE).all(1)]
+    rays = rays[(rays[..., 2] > _MIN_COSINE_TO_AXIS).all(1)]
     return focal * rays[..., :2] / rays[..., 2:]
 
 
-def level_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def rotation_to_level(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation from a camera's frame to a level world, z up, in which the camera looks along y.
 
     Args:

@@ -11,8 +11,8 @@ from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
 from recon.formats.cameras import CameraArrays
-from recon.reading.linking import LOST_AFTER, largest_allowed_distance, linked
-from recon.reading.places import FEWEST_KEYPOINTS, body_size, distance
+from recon.reading.linking import LOST_AFTER, largest_allowed_distance, link_detections
+from recon.reading.places import FEWEST_KEYPOINTS, body_size, centre_distance
 
 _EQUAL = 0.8
 """Ratio of completeness from which on neither of two tracks is the more complete."""
@@ -59,7 +59,7 @@ class Track:
         sizes = [body_size(p, c) for p, c in zip(self.pixels, self.confidence, strict=True)]
         return float(np.median(np.linalg.norm(high - low, axis=-1)) / 2 / np.median(sizes))
 
-    def turned_over(self, height: int) -> "Track":
+    def flipped_in_y(self, height: int) -> "Track":
         """The track with the y axis of pixels reversed, in an image of this height."""
         hands = self.hands
         if hands is not None:
@@ -101,7 +101,7 @@ def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -
     rows = np.flatnonzero(seen & within)
     labels, ended = detections.identity[rows], {}
     if (labels < 0).any() or not _are_numbers_consistent(detections, rows, labels):
-        found = linked(detections, rows)
+        found = link_detections(detections, rows)
         labels, ended = found.labels, found.ended
     order = dict.fromkeys(labels[labels >= 0].tolist())
     return [
@@ -161,7 +161,7 @@ def _are_numbers_consistent(
             return False
         for a, b in pairwise(own.tolist()):
             gap = int(detections.frame[b] - detections.frame[a])
-            if gap <= LOST_AFTER and distance(detections, a, b) > largest_allowed_distance(
+            if gap <= LOST_AFTER and centre_distance(detections, a, b) > largest_allowed_distance(
                 gap - 1
             ):
                 return False

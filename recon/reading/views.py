@@ -25,11 +25,11 @@ from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
 from recon.reading.stated import (
+    background_camera,
     camera_of_images,
     in_one_shot,
-    levelled,
+    rate_of_views,
     read_sized_detections,
-    stated_rate,
 )
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
@@ -79,7 +79,7 @@ def read_views(
     known = {
         path: one for path in folders if (one := read_sized_detections(path, how)) is not None
     }
-    fps = how.frame_rate or stated_rate(folders, known)
+    fps = how.frame_rate or rate_of_views(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
@@ -122,7 +122,7 @@ def read_views(
     level: list[str] = []
     if how.ground is None:  # a given ground plane also tells which way is up
         numbers = first + np.arange(frames)
-        both = [levelled(*one, numbers, fps) for one in zip(found, cameras, strict=True)]
+        both = [background_camera(*one, numbers, fps) for one in zip(found, cameras, strict=True)]
         cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
@@ -235,7 +235,7 @@ class SeenViews:
     shot: tuple[int, int] | None = None
     """First and last frame of the one shot that was taken of a film with cuts."""
 
-    def followed(self) -> tuple[TrackedView, ...]:
+    def tracked_views(self) -> tuple[TrackedView, ...]:
         """The tracks of all people in every view.
 
         Raises:
@@ -253,7 +253,7 @@ class SeenViews:
             )
         return tuple(views)
 
-    def of(self, tracks: Sequence[Track | None], who: Sequence[str]) -> Views:
+    def views(self, tracks: Sequence[Track | None], who: Sequence[str]) -> Views:
         """One person's observation in every view that shows them.
 
         Args:
@@ -269,7 +269,7 @@ class SeenViews:
             shot=self.shot,
         )
 
-    def person(self, number: int | None) -> Views:
+    def views_of_person(self, number: int | None) -> Views:
         """One person's observation; several views decide together who it is.
 
         Args:
@@ -279,15 +279,15 @@ class SeenViews:
         Raises:
             ValueError: when there is no such person, or it is not clear who is meant.
         """
-        views = self.followed()
+        views = self.tracked_views()
         if len(views) > 1:
-            return self.of(*across_views(views, number, up_given=self.up_given))
+            return self.views(*across_views(views, number, up_given=self.up_given))
         tracks = next(iter(views)).tracks
         track = chosen_track(tracks, number, self.found[0].name)
         who = "the only one" if len(tracks) == 1 else "given" if number is not None else "most"
         if who == "most" and track.completeness < max(one.completeness for one in tracks):
             who = "moves; a bystander is as complete"
-        return self.of([track], (f"{self.names[0]}: {track} ({who} of {len(tracks)} tracks)",))
+        return self.views([track], (f"{self.names[0]}: {track} ({who} of {len(tracks)} tracks)",))
 
     def _observation_of_track(self, view: int, track: Track) -> KeypointsFile:
         shape = (self.frames, track.confidence.shape[1])

@@ -134,8 +134,8 @@ def depth_points(
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
                 # hide by the true depth too, so that noise cannot make hidden surfaces visible
-                kept &= heights(true, view) >= corruption.hide_below
-                kept &= heights(depth, view) >= corruption.hide_below
+                kept &= heights_of_pixels(true, view) >= corruption.hide_below
+                kept &= heights_of_pixels(depth, view) >= corruption.hide_below
             cloud = _world_points(depth, kept, view, corruption, points, random)
         clouds.append(cloud)
     if not any(map(len, clouds)):
@@ -206,7 +206,7 @@ def _depth_of_mesh(
     return rasterise(pixels, depth, drawn, camera.image_size).depth.astype(np.float64)
 
 
-def heights(
+def heights_of_pixels(
     depth: Float[np.ndarray, "height width"], camera: Camera
 ) -> Float[np.ndarray, "height width"]:
     """Return the height above z = 0 of the surface point at every pixel, metres."""

@@ -26,7 +26,7 @@ _SURE, _UNSURE = 0.95, 0.3
 """Confidence of a point found exactly, and of one found four standard deviations off."""
 
 
-def dome(
+def camera_ring(
     motion: Motion,
     body: BodyModel,
     camera: Camera,
@@ -65,7 +65,7 @@ def dome(
     return tuple(placed)
 
 
-def orbiting(
+def orbiting_camera(
     camera: Camera, target: Float[Tensor, "3"], frames: int, angle: float, sway: float = 0.05
 ) -> Camera:
     """Return a hand-held camera that orbits a target by `angle` radians, swaying by `sway` m."""
@@ -152,12 +152,12 @@ def in_sight(
     seen &= boxless.visible(points, generator, motion.times)
     if corruption.hide_box is not None:
         origin = camera.T_world_camera[..., :3, 3].expand(len(points), 3)[:, None]
-        blocked = crosses(origin, points, corruption.hide_box)
+        blocked = crosses_box(origin, points, corruption.hide_box)
         seen &= ~(blocked & corruption.active(motion.times)[:, None])
     return seen
 
 
-def crosses(
+def crosses_box(
     origin: Float[Tensor, "*#shape 3"], end: Float[Tensor, "*#shape 3"], box: tuple[Corner, Corner]
 ) -> Bool[Tensor, "*shape"]:
     """Whether the line from one point to another crosses a box (slab test)."""
@@ -195,7 +195,9 @@ def cameras_around(
     lens = full_hd_camera() if lens is None else lens
     if film.camera in _PRESETS:
         first = mean_heading(truth) + _PRESETS[film.camera]
-        placed = dome(truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first)
+        placed = camera_ring(
+            truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first
+        )
         cameras = {f"cam{k}": camera for k, camera in enumerate(placed, 1)}
     else:
         cameras = _cameras_of_calibration(Path(film.camera), truth, body, film.views)
@@ -204,7 +206,7 @@ def cameras_around(
     if any(camera.T_camera_world.ndim == 3 for camera in cameras.values()):
         raise ReconError(f"{film.camera}: its cameras move already; leave orbit out")
     middle = body.pose(truth).joints.flatten(0, -2).mean(0)
-    return {n: orbiting(c, middle, truth.frames, film.orbit) for n, c in cameras.items()}
+    return {n: orbiting_camera(c, middle, truth.frames, film.orbit) for n, c in cameras.items()}
 
 
 def _cameras_of_calibration(
@@ -223,7 +225,7 @@ def _cameras_of_calibration(
         if arrays.T_camera_world is None:
             if len(found) > 1:
                 raise ReconError(f"{path}: camera {name} has no pose, so it cannot be placed")
-            camera = dome(truth, body, camera, 1, first=mean_heading(truth))[0]
+            camera = camera_ring(truth, body, camera, 1, first=mean_heading(truth))[0]
         elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) < truth.frames:
             raise ReconError(
                 f"{path}: camera {name} has {len(camera.T_camera_world)} poses, the motion "

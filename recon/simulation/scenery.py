@@ -147,7 +147,7 @@ def chair(width: float = 0.44, height: float = 0.45, back: float = 0.45) -> Furn
     return joined_meshes([seat, rest, _four_legs(width, width, height - _LEG)])
 
 
-def furnished(
+def furniture_around(
     names: Sequence[FurnitureName], middle: Float[np.ndarray, "3"], heading: float
 ) -> FurnitureMesh:
     """Place furniture around a person, on the floor z = 0.

@@ -26,7 +26,7 @@ from recon.simulation.points import (
     scan_points,
     visible_joints,
 )
-from recon.simulation.scenery import FurnitureMesh, clothed, furnished
+from recon.simulation.scenery import FurnitureMesh, clothed, furniture_around
 from recon.simulation.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
@@ -36,7 +36,7 @@ from recon.simulation.settings import (
 )
 
 
-def seen_by(
+def simulated_files(
     truth: Motion,
     body: BodyModel,
     kind: SensorKind,
@@ -63,7 +63,7 @@ def seen_by(
         FileNotFoundError: when there is no such calibration.
         ReconError: when it is damaged, or options contradict each other.
     """
-    check_apply(kind, film, surface, corruption)
+    refuse_other_options(kind, film, surface, corruption)
     if kind in ("keypoints2d", "depth"):
         return _simulated_views(
             truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
@@ -81,7 +81,7 @@ def seen_by(
     }
 
 
-def check_apply(
+def refuse_other_options(
     kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
 ) -> None:
     """Raise an error for options that do not apply to this kind of sensor."""
@@ -195,7 +195,7 @@ def _furniture_around(
     if len(surface.furniture) == 0:
         return None
     middle = body.pose(truth).joints.flatten(0, -2).mean(0).double().numpy()
-    return furnished(surface.furniture, middle, mean_heading(truth))
+    return furniture_around(surface.furniture, middle, mean_heading(truth))
 
 
 def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:

@@ -20,7 +20,7 @@ from recon.formats.outputs import Output
 from recon.formats.reports import checksums, versions
 from recon.formats.writing import writing
 from recon.view.frames import write_mp4, write_png
-from recon.view.observed import observed
+from recon.view.observed import read_observed
 from recon.view.overlay import write_overlay, write_sheet
 from recon.view.scene import (
     CERTAINTY,
@@ -154,9 +154,9 @@ def show_of_files(
         other = _at_times_of_first(load_motion_of(compare, model), file.motion, compare)
         name = _second_name(compare, motion)
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
-    points, cloud, cameras = observed(obs, file, model)
+    points, cloud, cameras = read_observed(obs, file, model)
     if film:
-        from recon.view.film import views_of_cameras, with_films  # imported here: loads a decoder
+        from recon.view.film import views_of_cameras, with_films  # imported only for films
 
         cameras = with_films(
             cameras or views_of_cameras(file.cameras), film, file.motion, str(motion), frame_rate

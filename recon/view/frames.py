@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from recon.formats.replacing import replacing
-from recon.view.images import FRAME, ImageRegion, clip_region, close_ups, paint_view
+from recon.view.images import FRAME, ImageRegion, clip_region, close_up_regions, paint_view
 from recon.view.lettering import (
     PAPER,
     Picture,
@@ -60,7 +60,7 @@ def write_png(
     rows = [_scene_pictures(one, chosen, stands) for one in shows]
     for view in show.cameras:
         row: list[Picture] = []
-        for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
+        for frame, part in zip(chosen, close_up_regions(show, view, chosen), strict=True):
             row.append(paint_view(show, view, frame, part, width))
             _draw_map(row[-1], view, part)
         _write_camera_name(row[0], view)

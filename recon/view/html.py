@@ -35,7 +35,7 @@ from recon.view.scene import (
     Figure,
     Show,
     View,
-    thinned,
+    at_most_points,
 )
 from recon.view.viewpoint import following_viewpoints, viewpoints
 
@@ -261,7 +261,7 @@ def _add_spheres(
 
 def _add_scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
     def points(frame: int) -> np.ndarray:
-        return thinned(cloud[frame], CLOUD_LIMIT).detach().cpu().float().numpy()
+        return at_most_points(cloud[frame], CLOUD_LIMIT).detach().cpu().float().numpy()
 
     handle = scene.add_point_cloud(
         "/world/scan", points(0), colors=_darker_colour(CLOUD), point_size=0.008

@@ -24,7 +24,7 @@ from recon.view.scene import (
     Figure,
     Show,
     View,
-    thinned,
+    at_most_points,
 )
 
 BEYOND = 0.5
@@ -88,7 +88,7 @@ def clip_region(show: Show, view: View) -> ImageRegion:
     return ImageRegion(float(left), float(top), *(share * size).tolist())
 
 
-def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
+def close_up_regions(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
     """Return a square around the people in each of some frames, all of one size."""
     low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)
@@ -153,7 +153,7 @@ def paint_view(
     ]
     places = [body.pixels[body.faces].reshape(-1, 2) for body in bodies]
     if show.cloud is not None:
-        cloud = thinned(show.cloud[frame].detach().cpu().double(), CLOUD_LIMIT)
+        cloud = at_most_points(show.cloud[frame].detach().cpu().double(), CLOUD_LIMIT)
         places.append(camera.project(cloud).pixels[drawable(camera, cloud)].numpy())
     if view.pixels is not None:
         places.append(view.pixels[frame].detach().cpu().double().numpy())

@@ -30,13 +30,13 @@ from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
 from recon.keypoints3d.labels import are_keypoints
-from recon.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
+from recon.keypoints3d.reader import holds_points_3d, points_of_recording, read_points_3d
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
-from recon.mocap.recording import MarkerRecording, head_to_foot
-from recon.reading.keypoints3d import settled
+from recon.mocap.recording import MarkerRecording, head_to_foot_length
+from recon.reading.keypoints3d import points_in_metres
 from recon.reading.places import load_silhouettes
-from recon.reading.points import points_settled
+from recon.reading.points import positions_in_metres
 from recon.view.info_cameras import (
     describe_calibration,
     describe_detections,
@@ -188,7 +188,7 @@ def _describe_observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]
     file = load_observation(path, unit=axes["unit"])
     common = {"fps": file.fps, "start_time": file.start_time}
     if isinstance(file, PositionsFile):
-        file = points_settled(file, path, BodyModel.load(), **axes)
+        file = positions_in_metres(file, path, BodyModel.load(), **axes)
         return {
             "format": f"observation: {file.kind}",
             "frames": len(file.positions),
@@ -229,7 +229,7 @@ def _describe_pose(camera: CameraArrays) -> dict[str, Any]:
 def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     recording = read_recording(path, unit=axes["unit"], up=axes["up"])
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
-        return _describe_points(from_recording(recording), {"hand": axes["hand"]})
+        return _describe_points(points_of_recording(recording), {"hand": axes["hand"]})
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )
@@ -248,7 +248,7 @@ def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
         facts["decisions"] += said
         facts["missing"] = float(1 - np.mean(recording.visible))
     else:
-        facts["stature"] = head_to_foot(
+        facts["stature"] = head_to_foot_length(
             recording.joint_names, recording.parents, recording.rest_offsets
         )
     return facts
@@ -291,7 +291,7 @@ def _describe_points(points: Points3D, axes: Mapping[str, Any]) -> dict[str, Any
     Raises:
         ValueError: when layout, unit or axis cannot be told; the message says what was found.
     """
-    file = settled(points, BodyModel.load(), fps=points.fps or _ANY_RATE, **axes)
+    file = points_in_metres(points, BodyModel.load(), fps=points.fps or _ANY_RATE, **axes)
     asked = () if points.fps is not None else ("no frame rate: give --frame-rate to fit",)
     return {
         "format": "3D keypoints",

@@ -95,7 +95,7 @@ def describe_film(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `recon.films.decoding.open_film` does.
     """
-    from recon.films.decoding import open_film  # imported here: it loads a decoder
+    from recon.films.decoding import open_film  # imported only for films: loads a decoder
 
     film = open_film(path)
     shots = "not looked for in a film so long"

@@ -110,7 +110,7 @@ def write_line(
     cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
 
-def pale_corners(picture: Picture, title: str, label: str) -> None:
+def lighten_corners(picture: Picture, title: str, label: str) -> None:
     """Lighten a picture where a title and a label in the lower right corner will stand."""
     height, width = picture.shape[:2]
     text = text_size((width, height))

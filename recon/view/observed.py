@@ -25,7 +25,7 @@ from recon.view.scene import Points, View, nearest_samples
 Cloud = tuple[Float[Tensor, "_ 3"], ...]
 
 
-def observed(
+def read_observed(
     paths: Sequence[Path], file: MotionFile, body: BodyModel
 ) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
     """Read points, a scan and cameras of observation files, at the frames of a motion.

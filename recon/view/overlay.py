@@ -10,7 +10,7 @@ from recon.view.images import ImageRegion, clip_region, paint_view, whole_image
 from recon.view.lettering import (
     Picture,
     join,
-    pale_corners,
+    lighten_corners,
     save_picture,
     with_legend,
     write_corner_label,
@@ -79,7 +79,7 @@ def _film_pictures(
     for frame, time, photograph in zip(frames, times, view.film.pictures(times), strict=True):
         picture = paint_view(show, view, frame, part, across, photograph)
         label = f"{time:.2f} s" if photograph is not None else f"no picture at {time:.2f} s"
-        pale_corners(picture, view.name, label)
+        lighten_corners(picture, view.name, label)
         write_title(picture, view.name)
         write_corner_label(picture, label)
         yield picture

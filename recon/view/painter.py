@@ -25,7 +25,7 @@ from recon.view.scene import (
     Colour,
     Figure,
     Show,
-    thinned,
+    at_most_points,
 )
 from recon.view.viewpoint import Viewpoint
 
@@ -263,7 +263,7 @@ def _lit_points(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
                 joints, radii = figure.posed.joints[frame], figure.joint_std[frame].cpu().numpy()
                 found.append(_lit_spheres(joints, radii, CERTAINTY, view, HALO, HALO))
     if show.cloud is not None:
-        cloud = thinned(show.cloud[frame], CLOUD_LIMIT)
+        cloud = at_most_points(show.cloud[frame], CLOUD_LIMIT)
         found.append(_lit_spheres(cloud, GRAIN_M, CLOUD, view, 1.0, 0.12))
     if (points := show.points) is not None:
         seen = points.visible[frame]

@@ -16,7 +16,7 @@ from recon.core.visible import visible
 
 if TYPE_CHECKING:
     from recon.view.film import FilmOnClock
-else:  # only annotations name FilmOnClock: at run time its module need not be loaded
+else:  # at run time Any replaces FilmOnClock, whose module need not be imported
     from typing import Any as FilmOnClock
 
 Colour = tuple[int, int, int]
@@ -390,6 +390,6 @@ def _frame_counts(camera: Camera) -> set[int]:
     }
 
 
-def thinned(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
+def at_most_points(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
     """Keep every n-th point, so that at most `most` points are left."""
     return points[:: max(1, -(-len(points) // most))]

@@ -107,7 +107,7 @@ def following_viewpoints(
     target = _smoothed_path(pelvis.astype(np.float64), figures[0].motion.fps * FOLLOW_SECONDS)
     target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
 
-    R_camera_world = _three_quarter(figures[0], ELEVATION)
+    R_camera_world = _three_quarter_axes(figures[0], ELEVATION)
     needed = _distance_needed((surface - target[:, None]) @ R_camera_world.T, size)
     back = float(np.quantile(needed.max(1), 0.98)) * R_camera_world[2]
     lens = _focal_length(size), size, (size[0] / 2, size[1] / 2)
@@ -128,7 +128,7 @@ def fixed_viewpoint(
     reach = OVERVIEW_REACH + np.ptp(surface, axis=0).max() / 2
     kept = others[np.linalg.norm(others - middle, axis=1) < reach]
     points = np.concatenate([surface, kept])
-    R_camera_world = _three_quarter(figures[0], OVERVIEW_ELEVATION)
+    R_camera_world = _three_quarter_axes(figures[0], OVERVIEW_ELEVATION)
     local = points @ R_camera_world.T
     target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
     needed = _distance_needed((points - target) @ R_camera_world.T, size)
@@ -156,10 +156,10 @@ def _distance_needed(
 
 def direction_to_the_right(figure: Figure) -> Float[np.ndarray, "3"]:
     """Return the horizontal unit vector that points to the right in pictures of a figure."""
-    return _three_quarter(figure, ELEVATION)[0]
+    return _three_quarter_axes(figure, ELEVATION)[0]
 
 
-def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
+def _three_quarter_axes(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
     """Return R_camera_world of a camera at an angle to a figure's mean heading, looking down."""
     front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
     heading = math.atan2(front[1], front[0]) - AZIMUTH

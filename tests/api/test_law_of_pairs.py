@@ -10,7 +10,7 @@ from recon.core.camera import depth_camera
 from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
-from recon.simulation.images import dome
+from recon.simulation.images import camera_ring
 from recon.simulation.points import Corruption, joints3d, markers3d
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
@@ -28,7 +28,7 @@ def sensor(kind: str, seed: int = 0) -> Sensor:
         return markers3d(truth, bundled(), Corruption(noise=0.02, hide_below=0.5), 2 + seed)
     if kind == "camera":
         return view(truth, cameras(truth)[0], seed=3 + seed)
-    (camera,) = dome(truth, bundled(), depth_camera(), 1)
+    (camera,) = camera_ring(truth, bundled(), depth_camera(), 1)
     file = depth_points(truth, bundled(), camera, Corruption(), seed=4 + seed, points=POINTS)
     return cloud_of(file, bundled()).cloud
 

@@ -18,7 +18,7 @@ from recon.formats.calibration import load_cameras
 from recon.formats.observations import PointsFile, load_observation, save_observation
 from recon.simulation.depth import PixelSurface, depth_points
 from recon.simulation.points import Corruption
-from recon.simulation.scenery import furnished
+from recon.simulation.scenery import furniture_around
 from tests.walking import a_walk
 
 FURNITURE = ("chair", "table", "box")
@@ -29,7 +29,7 @@ def filmed() -> tuple[list[PointsFile], list[np.ndarray]]:
     """What each camera saw of a person between furniture, in its own axes, and T_world_camera."""
     body, files, poses = BodyModel.load(), [], []
     motion = a_walk(body, seconds=1.0, speed=0.6).resample(6.0)
-    things = furnished(FURNITURE, np.array([0.0, 0.3, 0.9]), 0.0)
+    things = furniture_around(FURNITURE, np.array([0.0, 0.3, 0.9]), 0.0)
     for k, degrees in enumerate((-60, 0, 55)):
         angle = math.radians(degrees)
         place = torch.tensor([2.4 * math.sin(angle), 0.3 - 2.4 * math.cos(angle), 1.2 + 0.2 * k])

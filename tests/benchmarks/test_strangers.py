@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from benchmarks.strangers import compare
-from benchmarks.strangers.choice import kind_of, spread, starts
+from benchmarks.strangers.choice import kind_of_motion, spread, starts
 from benchmarks.strangers.compare import tables
 from benchmarks.strangers.fits import feet_right
 from benchmarks.strangers.folds import (
@@ -108,10 +108,10 @@ def test_windows_are_spread_over_kinds_and_clips() -> None:
 
 
 def test_kinds_are_told_by_words() -> None:
-    assert kind_of("walk on uneven terrain") == "uneven ground"
-    assert kind_of("run/jog") == "run"
-    assert kind_of("salsa dance") == "dance"
-    assert kind_of("wash self") == "other"
+    assert kind_of_motion("walk on uneven terrain") == "uneven ground"
+    assert kind_of_motion("run/jog") == "run"
+    assert kind_of_motion("salsa dance") == "dance"
+    assert kind_of_motion("wash self") == "other"
 
 
 def row(window: str, method: str, error: float | None, **more: object) -> dict[str, object]:

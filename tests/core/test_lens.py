@@ -44,10 +44,10 @@ def test_a_known_focal_length_is_left_alone() -> None:
     seen = view(walk(16), cameras(walk(16))[0])
     lens = UnknownLens(torch.tensor([1.0]), torch.tensor([DISTANCE]))
     scene = Scene.create(1, like=lens.zoom).replace(lens=lens)
-    assert seen.settled(scene) is seen
+    assert seen.with_constants_of(scene) is seen
     guessed = seen.derived(focal_std=0.3)
-    assert guessed.settled(scene.replace(lens=None)) is guessed
-    settled = guessed.settled(scene)
+    assert guessed.with_constants_of(scene.replace(lens=None)) is guessed
+    settled = guessed.with_constants_of(scene)
     assert settled.focal_std == 0
     torch.testing.assert_close(
         settled.camera.camera_matrix, lens.applied_to(seen.camera).camera_matrix

@@ -14,7 +14,7 @@ from recon.diagnosis.carried import turned_camera_finding
 from recon.diagnosis.movement import belt_velocity
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
-from recon.simulation.images import keypoints2d, orbiting
+from recon.simulation.images import keypoints2d, orbiting_camera
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
 
@@ -79,7 +79,7 @@ def test_a_phone_that_is_carried_around_a_person() -> None:
     motion = walk(FRAMES).resample(15.0)
     middle = bundled().pose(motion).joints.flatten(0, 1).mean(0)
     stands = cameras(motion, first=0.7)[0]
-    camera = orbiting(stands, middle, motion.frames, math.radians(40.0))
+    camera = orbiting_camera(stands, middle, motion.frames, math.radians(40.0))
     file = keypoints2d(motion, bundled(), camera, Corruption(noise=3.0), 0)
     unknown = replace(file.camera, T_camera_world=None)
     seen = keypoints_of(replace(file, camera=unknown), bundled())

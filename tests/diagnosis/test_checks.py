@@ -12,7 +12,7 @@ from recon.core.camera import full_hd_camera
 from recon.diagnosis.checks import AFTER, BEFORE, frame_rate, points, unseen
 from recon.diagnosis.examination import ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
-from recon.simulation.images import dome
+from recon.simulation.images import camera_ring
 from recon.simulation.points import Corruption, joints3d
 from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed, screened
 from tests.filmed import bundled, view, walk
@@ -118,7 +118,9 @@ def test_left_and_right_of_a_limb_exchanged_in_all_views_are_exchanged_back(part
 def test_left_and_right_of_a_limb_exchanged_in_one_view_are_exchanged_back(parts, when) -> None:
     """Rays missed each other by the width of a body, and nothing was said."""
     motion, heights = walk(30), (0.5, 3.5)
-    rigs = [dome(motion, bundled(), full_hd_camera(), 2, height=h, first=0.7) for h in heights]
+    rigs = [
+        camera_ring(motion, bundled(), full_hd_camera(), 2, height=h, first=0.7) for h in heights
+    ]
     views = tuple(view(motion, rigs[k][k], seed=k) for k in range(2))
     pairs = [(f"left_{part}", f"right_{part}") for part in parts]
     out, repairs, warnings = screened((views[0], renamed(views[1], when, pairs)))

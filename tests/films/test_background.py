@@ -16,7 +16,7 @@ from recon.films.background import FollowedPoints, points_if_camera_moves
 from recon.films.carrying import find_path
 from recon.films.turning import find_turning
 from recon.formats.cameras import guessed_camera
-from recon.reading.stated import in_one_shot, levelled
+from recon.reading.stated import background_camera, in_one_shot
 
 WIDTH, HEIGHT, FOCAL, FRAMES = 480, 360, 450.0, 24
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2
@@ -135,7 +135,7 @@ def test_nobody_is_followed_from_one_shot_into_another():
 
 
 def test_camera_of_a_film_turns_as_its_background_tells():
-    camera, said = levelled(
+    camera, said = background_camera(
         people(panned()), guessed_camera((WIDTH, HEIGHT)), np.arange(FRAMES), 30.0
     )
     assert "turns by up to" in said
@@ -165,7 +165,7 @@ def test_path_of_a_carried_camera_is_found_up_to_its_unit():
     people_there = people(behind)
     assert points_if_camera_moves(behind, people())[0] is not None
     guess = guessed_camera((WIDTH, HEIGHT))
-    camera, said = levelled(people_there, guess, np.arange(FRAMES), 30.0)
+    camera, said = background_camera(people_there, guess, np.arange(FRAMES), 30.0)
     assert "is carried" in said
     assert camera.path is not None
     assert not camera.path.metric
@@ -186,7 +186,7 @@ def test_path_that_cannot_be_told_is_said_to_be_needed():
     assert isinstance(small, str)
     chance = np.random.default_rng(0)
     torn = replace(behind, pixels=chance.uniform(0, 2 * MIDDLE, behind.pixels.shape))
-    same, said = levelled(people(torn), guess, np.arange(FRAMES), 30.0)
+    same, said = background_camera(people(torn), guess, np.arange(FRAMES), 30.0)
     assert same is guess
     assert "--camera-track" in said
 

@@ -13,7 +13,7 @@ from recon.detections.records import Detections
 from recon.detections.tables import detection_arrays, read_detection_arrays
 from recon.films.vertical import Vertical, find_vertical, straight_segments
 from recon.formats.cameras import guessed_camera
-from recon.reading.stated import levelled
+from recon.reading.stated import background_camera
 
 SIZE, FOCAL, PHONE = (720, 1280), 1000.0, 960.0
 
@@ -120,7 +120,7 @@ def detections(lines: np.ndarray) -> Detections:
 
 def test_camera_of_a_film_is_levelled_by_its_lines():
     seen = detections(straight_segments(room(20, 5)))
-    camera, said = levelled(seen, guessed_camera(SIZE[::-1]), np.arange(1), 30.0)
+    camera, said = background_camera(seen, guessed_camera(SIZE[::-1]), np.arange(1), 30.0)
     assert camera.path is not None
     assert camera.path.level
     assert angle(-camera.path.T_world_camera[0, :3, :3].T @ (0.0, 0.0, -1.0), 20, 5) < 1.5
@@ -133,7 +133,7 @@ def test_camera_of_a_film_is_levelled_by_its_lines():
 def test_camera_whose_pose_is_known_keeps_it():
     seen = detections(straight_segments(room(20, 5)))
     posed = replace(guessed_camera(SIZE[::-1]), T_camera_world=np.eye(4)[None])
-    assert levelled(seen, posed, np.arange(1), 30.0) == (posed, "")
+    assert background_camera(seen, posed, np.arange(1), 30.0) == (posed, "")
 
 
 def test_lines_are_kept_in_files_of_detections(tmp_path: Path):

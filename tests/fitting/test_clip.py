@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from observations.depth import PointCloud
-from observations.first_guess import guessed
+from observations.first_guess import with_first_guess
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.surfels import Surfels
@@ -184,7 +184,7 @@ def test_a_view_whose_errors_last_weighs_less_unless_its_noise_is_told():
     told = FitOptions(prior="pose", noise=(3.0,))
 
     def repetition(one: Keypoints2D, options: FitOptions) -> float:
-        problem = clip_problem(*guessed([one], bundled(), None, None), options, bundled())
+        problem = clip_problem(*with_first_guess([one], bundled(), None, None), options, bundled())
         return problem.after_pose_prior()[0].repetition
 
     assert repetition(fresh, POSE) < 1.5

@@ -40,7 +40,7 @@ def test_the_prior_asked_for_with_weights_for_the_noise():
     )
     assert isinstance(weak, PosePrior)
     assert isinstance(strong, PosePrior)
-    assert strong.weighed.pose == pytest.approx(16 * weak.weighed.pose)
+    assert strong.effective_weights.pose == pytest.approx(16 * weak.effective_weights.pose)
     humor = prior_stages(FitOptions(prior="humor"), 0.02, bundled())(data())[-1].prior
     assert isinstance(humor, Collocation)
 

@@ -17,7 +17,7 @@ from recon.core.units import METRES
 from recon.export.bvh import Order, skeleton_of, write_bvh
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, read_bvh
-from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.reader import bvh_texts_in_archive, read_recording
 from recon.mocap.recording import SkeletonRecording, drop_lead_in
 
 BVH = """HIERARCHY
@@ -142,7 +142,7 @@ def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> N
             archive.addfile(info, io.BytesIO(BVH.encode()))
     plain = parse_bvh(BVH, "clip", up="y").positions
     assert np.array_equal(read_recording(tmp_path / "clip.bvh.xz", up="y").positions, plain)
-    packed = list(iterate_texts(tmp_path / "pack.tar.xz"))
+    packed = list(bvh_texts_in_archive(tmp_path / "pack.tar.xz"))
     assert packed == [("pack/a.bvh", BVH), ("pack/b.bvh", BVH)]
     one = read_recording(f"{tmp_path / 'pack.tar.xz'}::b.bvh", up="y")
     assert np.array_equal(one.positions, plain)

@@ -9,7 +9,7 @@ import pytest
 
 from recon.formats.texts import numbers_in
 from recon.mocap.reader import read_recording
-from recon.mocap.recording import head_to_foot
+from recon.mocap.recording import head_to_foot_length
 from tests.formats.test_markers import make_markers, write_c3d
 
 
@@ -55,7 +55,7 @@ def test_the_longest_path_is_that_of_all_pairs(seed: int) -> None:
     heads = [k for k, name in enumerate(names) if "head" in name] or list(range(joints))
     feet = [k for k, name in enumerate(names) if "foot" in name] or list(range(joints))
     expected = slow_head_to_foot(parents, offsets, heads, feet)
-    assert head_to_foot(names, parents, offsets) == pytest.approx(expected, abs=1e-12)
+    assert head_to_foot_length(names, parents, offsets) == pytest.approx(expected, abs=1e-12)
 
 
 def test_skeletons_of_many_joints(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from recon.detections.reader import read_keypoints
 from recon.formats.scans import read_scans
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.bvh import parse_bvh
-from recon.reading.keypoints3d import settled
+from recon.reading.keypoints3d import points_in_metres
 from tests.formats.producer_files import points
 from tests.keypoint_scene import camera, figure, image, write_openpose
 
@@ -46,7 +46,7 @@ def test_tables_of_points_are_read_however_they_are_written(tmp_path, kind, endi
     path = tmp_path / f"a{ending}"
     path.write_text(TABLES[kind])
     assert holds_points_3d(path)
-    file = settled(read_points_3d(path), BodyModel.load(), fps=30.0)
+    file = points_in_metres(read_points_3d(path), BodyModel.load(), fps=30.0)
     assert file.names == NAMES
     np.testing.assert_allclose(file.positions, POINTS, atol=1e-4)
 
@@ -88,9 +88,9 @@ def test_points_in_feet_are_refused_with_their_unit(tmp_path, unit):
     (tmp_path / "a.csv").write_text(table(values=POINTS / METRES[unit]))
     raw = read_points_3d(tmp_path / "a.csv")
     with pytest.raises(ReconError, match=f"--unit {unit}"):
-        settled(raw, BodyModel.load(), fps=30.0)
+        points_in_metres(raw, BodyModel.load(), fps=30.0)
     spelled = {"ft": "feet", "inch": "inches"}[unit]
-    file = settled(raw, BodyModel.load(), fps=30.0, unit=spelled)
+    file = points_in_metres(raw, BodyModel.load(), fps=30.0, unit=spelled)
     np.testing.assert_allclose(file.positions, POINTS, atol=1e-3)
 
 

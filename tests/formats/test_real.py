@@ -7,12 +7,12 @@ import pytest
 
 from recon.export.bvh import write_bvh
 from recon.mocap.bvh import parse_bvh, read_bvh
-from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.reader import bvh_texts_in_archive, read_recording
 from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
     drop_lead_in,
-    head_to_foot,
+    head_to_foot_length,
 )
 
 
@@ -36,7 +36,9 @@ def test_skeletons_have_the_size_of_people_and_lose_their_t_pose(
 ) -> None:
     recording = skeleton(data / "mocap/cmu" / f"{clip}.bvh.xz")
     assert (
-        1.4 < head_to_foot(recording.joint_names, recording.parents, recording.rest_offsets) < 2.1
+        1.4
+        < head_to_foot_length(recording.joint_names, recording.parents, recording.rest_offsets)
+        < 2.1
     )  # m
     cut = drop_lead_in(recording)
     assert cut.frames == recording.frames - lead_in
@@ -89,10 +91,12 @@ def test_bvh_is_written_and_read_back(data: Path, tmp_path: Path) -> None:
 
 def test_packed_skeletons(data: Path) -> None:
     path = data / "mocap/bandai-namco/dataset-1.tar.xz"
-    for name, text in iterate_texts(path):
+    for name, text in bvh_texts_in_archive(path):
         clip = parse_bvh(text, name)
         assert clip.joint_names[clip.body_root] == "Hips"
-        assert 1.4 < head_to_foot(clip.joint_names, clip.parents, clip.rest_offsets) < 2.1  # m
+        assert (
+            1.4 < head_to_foot_length(clip.joint_names, clip.parents, clip.rest_offsets) < 2.1
+        )  # m
         assert clip.fps == 30
         break
 

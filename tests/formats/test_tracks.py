@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from observations.camera_paths import path_unit
+from observations.camera_paths import metres_per_path_unit
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import Camera
 from recon.fitting.settings import FitSettings
@@ -16,7 +16,7 @@ from recon.formats.cameras import CameraPath
 from recon.formats.tracks import read_track
 from recon.reading.clip import load_clip
 from recon.reading.images import keypoints_of
-from recon.simulation.images import keypoints2d, orbiting
+from recon.simulation.images import keypoints2d, orbiting_camera
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
 from tests.formats.track_files import (
@@ -37,7 +37,7 @@ def moving(frames: int = FRAMES) -> Camera:
     """A phone that is carried around the walk by a quarter turn."""
     motion = walk(frames)
     middle = bundled().pose(motion).joints.flatten(0, 1).mean(0)
-    return orbiting(cameras(motion, first=0.7)[0], middle, frames, math.radians(90.0))
+    return orbiting_camera(cameras(motion, first=0.7)[0], middle, frames, math.radians(90.0))
 
 
 def poses() -> np.ndarray:
@@ -110,9 +110,9 @@ def test_standing_feet_tell_the_unit() -> None:
     """Feet in the frame of the camera that moves, and its path in another unit."""
     feet = bundled().pose(walk(FRAMES)).joints[:, [10, 11]]
     seen = moving().to_camera(feet).double().numpy()
-    assert path_unit(in_units(poses()), seen, 30.0) == pytest.approx(1 / UNIT, rel=0.05)
+    assert metres_per_path_unit(in_units(poses()), seen, 30.0) == pytest.approx(1 / UNIT, rel=0.05)
     still = np.tile(np.eye(4), (FRAMES, 1, 1))
-    assert path_unit(still, seen, 30.0) == 1.0
+    assert metres_per_path_unit(still, seen, 30.0) == 1.0
 
 
 def test_a_film_with_a_track_is_read(tmp_path) -> None:

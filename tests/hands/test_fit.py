@@ -15,7 +15,7 @@ from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS
 from recon.core.layouts import LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.fitting.hands import HandView, _angle_precision, _Fingers
-from recon.keypoints3d.labels import _point_of_hand, are_keypoints, hands_apart
+from recon.keypoints3d.labels import _point_of_hand, are_keypoints, split_off_hands
 from recon.keypoints3d.reader import read_session
 from tests.hands.made import FPS, hand_points, noisy, person, pose_table
 
@@ -120,7 +120,7 @@ def test_session_with_hands(tmp_path):
     for name, array in arrays.items():
         np.save(tmp_path / f"mediapipe_{name}_3d_xyz.npy", array)
     read = read_session(tmp_path)
-    _, hands = hands_apart(read)
+    _, hands = split_off_hands(read)
     assert np.array_equal(hands.positions[:, 21:], arrays["right_hand"])
 
 

@@ -156,7 +156,7 @@ def test_unknown_skeletons_are_refused_and_mapped(
 
 def test_feet_are_the_last_rows(recording: SkeletonRecording) -> None:
     skeleton = recognise(recording)
-    first, last = skeleton.feet
+    first, last = skeleton.feet_rows
     assert [JOINTS[j] for j in skeleton.joints[first:last]] == [
         "left_ankle", "right_ankle", "left_foot", "right_foot",
     ]  # fmt: skip

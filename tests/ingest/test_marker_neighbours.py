@@ -62,7 +62,7 @@ def test_recordings_without_gaps_are_solved_as_they_are(
     def refuse(*_: object) -> None:
         raise AssertionError("no marker is hidden")
 
-    monkeypatch.setattr("recon.ingest.marker_fit.joined_in_time", refuse)
+    monkeypatch.setattr("recon.ingest.marker_fit.fitted_about_gaps", refuse)
     where = full_body_markers(markers, single)
     assert fit_markers(markers, where, single).motion.frames == markers.frames
     visible = markers.visible.copy()

@@ -171,7 +171,7 @@ def test_equations_of_the_subject(body: BodyModel) -> None:
         random(len(vertices)).square(), 0.1, replace(poses, weight=1.0), with_offsets=True,
     )  # fmt: skip
     state = CalibratedFrames(
-        energies.of(motion.shape, offsets).poses_of(motion.translation, motion.rotations),
+        energies.for_body(motion.shape, offsets).poses_of(motion.translation, motion.rotations),
         motion.shape, offsets,
     )  # fmt: skip
     rows = torch.arange(1)

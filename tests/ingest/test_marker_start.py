@@ -8,7 +8,7 @@ import recon
 from recon.core import rotations as so3
 from recon.ingest.marker_places import bodies_of_set
 from recon.ingest.marker_sets import markers_of_set
-from recon.ingest.marker_start import turned_limb
+from recon.ingest.marker_start import with_limb_turned
 
 
 @pytest.mark.numerics
@@ -20,12 +20,12 @@ def test_a_limb_found_turned_about_its_length_is_turned_back(joint, axis):
     body = bodies_of_set(markers_of_set("pig", model), model)[1]
     true = body.posed(motion.translation, motion.rotations)
     clouds = list(body.places(true))
-    assert turned_limb(body, true, clouds) is None
+    assert with_limb_turned(body, true, clouds) is None
     wrong = motion.rotations.clone()
     wrong[:, joint] = wrong[:, joint] @ so3.exp(np.pi * torch.eye(3)[axis])
     turned = body.posed(motion.translation, wrong)
     assert np.abs(body.places(turned) - clouds).max() > 0.05
-    found = turned_limb(body, turned, clouds)
+    found = with_limb_turned(body, turned, clouds)
     assert found is not None
     for one, cloud in zip(found, clouds, strict=True):
         assert np.abs(body.places(one.pose)[0] - cloud).max() < 0.02

@@ -24,7 +24,7 @@ from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     mirrored,
     side_pairs,
-    steady_labels,
+    with_exchanges_undone,
 )
 from recon.ingest.marker_gaps import gap_findings, observed_joints, placed_frames, with_gaps_filled
 from recon.ingest.marker_observation import seen_markers
@@ -215,13 +215,13 @@ def exchanged(recording: MarkerRecording, pairs: list[tuple[str, str]], frames: 
 
 def test_labels_that_change_over_are_put_back(markers: MarkerRecording) -> None:
     pair = ("LKNE", "LANK")
-    found, said = steady_labels(exchanged(markers, [pair], slice(12, 20)))
+    found, said = with_exchanges_undone(exchanged(markers, [pair], slice(12, 20)))
     np.testing.assert_array_equal(found.positions, markers.positions)
     assert (said[0].code, said[0].frames, set(said[0].joints)) == (
         "points exchanged", ((12, 19),), set(pair),
     )  # fmt: skip
     # one exchange only: the shorter part is the wrong one
-    found, said = steady_labels(exchanged(markers, [pair], slice(20, None)))
+    found, said = with_exchanges_undone(exchanged(markers, [pair], slice(20, None)))
     np.testing.assert_array_equal(found.positions, markers.positions)
     assert said[0].frames == ((20, 29),)
 
@@ -229,7 +229,7 @@ def test_labels_that_change_over_are_put_back(markers: MarkerRecording) -> None:
 def test_sides_that_change_over_are_put_back(markers: MarkerRecording) -> None:
     pairs = [(LABELS[a], LABELS[b]) for a, b in side_pairs(list(LABELS))]
     assert len(pairs) == 14
-    found, said = steady_labels(exchanged(markers, pairs, slice(8, 15)))
+    found, said = with_exchanges_undone(exchanged(markers, pairs, slice(8, 15)))
     np.testing.assert_array_equal(found.positions, markers.positions)
     assert codes(tuple(said)) == ["sides exchanged"]
 
@@ -239,7 +239,7 @@ def test_fast_markers_keep_their_labels(markers: MarkerRecording) -> None:
     fast = dataclasses.replace(
         markers, positions=markers.positions[::5], visible=markers.visible[::5], fps=6.0
     )
-    assert steady_labels(fast) == (fast, [])
+    assert with_exchanges_undone(fast) == (fast, [])
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ class _Bent(TiedFrames[_Points]):
         jacobian = self.jacobian(state.x[rows])
         return jacobian.mT @ jacobian
 
-    def share_data_kind(self, some: Tensor, others: Tensor) -> Tensor:
+    def have_same_data_kind(self, some: Tensor, others: Tensor) -> Tensor:
         return self.kinds[some] == self.kinds[others]
 
     def tie_energies(self, state: _Points) -> tuple[Tensor, Tensor]:

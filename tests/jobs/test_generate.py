@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from priors.humor.mixture import Mixture
-from priors.humor.state import canonical_state, distinct_features, initial_features, states_of
+from priors.humor.state import canonical_state, independent_features, initial_features, states_of
 from recon import cli
 from recon.body.model import BodyModel
 from recon.core.motion import Motion, MotionFile
@@ -25,7 +25,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     body = BodyModel.load()
     prior = humor(body)
     states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
-    known = distinct_features()
+    known = independent_features()
     means = initial_features(canonical_state(states, prior.pelvis(motions().shape.float())))[
         :, known
     ]

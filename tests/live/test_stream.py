@@ -262,7 +262,7 @@ def test_memory_is_bounded(seen):
         assert tracking is not None
         now = tracking.smoothed
         assert now is not None
-        return now.window.frames + now.active + len(tracking.times) + len(tracking.gathered)
+        return now.window.frames + now.active_frames + len(tracking.times) + len(tracking.gathered)
 
     sizes = []
     for k in range(60):

@@ -21,7 +21,7 @@ from recon.method.priors import Density
 from recon.method.protocols import Estimate
 from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
-from recon.simulation.images import dome
+from recon.simulation.images import camera_ring
 from recon.simulation.points import Corruption, joints3d
 from recon.view.info import info
 from tests.filmed import bundled, cameras, view, walk
@@ -210,7 +210,7 @@ def test_a_result_knows_how_sure_it_is(prior, tmp_path):
 def test_depth_and_images_say_how_sure_they_are():
     """What a sensor sees of a body is surer than what the body hides from it."""
     truth = walk(FRAMES)
-    (camera,) = dome(truth, bundled(), depth_camera(), 1)
+    (camera,) = camera_ring(truth, bundled(), depth_camera(), 1)
     file = depth_points(truth, bundled(), camera, Corruption(), seed=4, points=128)
     cloud = cloud_of(file, bundled()).cloud.coarse(bundled())
     one = deviations(at_truth(), [cloud], [Noise(0.03, 0.01)], belief(0.01)).joints

@@ -85,10 +85,10 @@ def test_the_hessian_is_that_of_the_residuals(body: BodyModel, kind: str) -> Non
         fps = 18.0 if kind == "slower clock" else 30.0
         seen = seen_by(body, 3 if kind == "slower clock" else 5, fps)
     stage = pose_stage([seen.to(dtype=torch.float64)], exact)
-    local, base = StageProblem.about(stage, exact, start_of(stage, motion, exact))
+    local, base = StageProblem.around(stage, exact, start_of(stage, motion, exact))
 
     def at(steps: Tensor) -> Tensor:
-        moved = local.stepped(base, steps[None])
+        moved = local.after_steps(base, steps[None])
         return residuals(stage, moved.estimate(stage.prior, exact))
 
     zero = torch.zeros(local.size, dtype=torch.float64)
@@ -184,7 +184,7 @@ def test_without_a_known_hessian_first_order_goes_on(body: BodyModel) -> None:
     stage = pose_stage([seen_by(body)], body)
     stage = replace(stage, terms=(Term("own", energy, 1.0), *stage.terms[1:]))
     start = start_of(stage, swinging(6, 0)[None], body)
-    local, base = StageProblem.about(stage, body, start)
+    local, base = StageProblem.around(stage, body, start)
     with pytest.raises(NoHessian):
         local.model(base, torch.arange(1))
     variables, _, _ = laws.minimised(stage, body, start.variables, start.scene)

@@ -262,7 +262,7 @@ def test_proposals_are_motions_in_the_world(toy_body):
     scene = replace(Scene.create(1, like=truth.translation), ground=ground)
     began = Hypotheses.of_motions(FreeMotion(), [truth], scene, toy_body)
     world = began.estimate(toy_body).motion
-    made, origin, _ = began.proposed(lambda estimate, _: (estimate.motion, ""), toy_body)
+    made, origin, _ = began.with_proposals(lambda estimate, _: (estimate.motion, ""), toy_body)
     assert origin.tolist() == [0]
     motion = made.unknowns.motion(made.prior, toy_body)
     torch.testing.assert_close(motion.translation[0], truth.translation[0])

@@ -48,7 +48,7 @@ def test_noise_goes_with_its_moments(toy_body):
     moments = (2, 31)
     std = torch.linspace(0.01, 0.02, 31).expand(moments)
     cloud = noisy(toy_body, motion, 0.01, std=std)
-    every = [cloud.window(0.2, 0.5), cloud.coarse(toy_body), cloud.thinned(3)]
+    every = [cloud.window(0.2, 0.5), cloud.coarse(toy_body), cloud.with_at_most_points(3)]
     part, coarse, thin = (one.std for one in every)
     assert part is not None
     assert coarse is not None

@@ -24,8 +24,8 @@ from recon.ingest.marker_sets import full_body_markers, right_handed_markers
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
-from recon.reading.keypoints3d import settled
-from recon.reading.points import points_settled
+from recon.reading.keypoints3d import points_in_metres
+from recon.reading.points import positions_in_metres
 from recon.simulation.points import Corruption, scan_points
 from tests.walking import a_walk
 
@@ -53,14 +53,14 @@ def walk(kind: Kind) -> PositionsFile:
 def test_mirrored_points_are_mirrored_back_and_others_are_left(kind: Kind) -> None:
     """People in left-handed coordinates walked backwards, and nothing was said."""
     file = walk(kind)
-    kept = points_settled(file, "walk.npz", BODY)
+    kept = positions_in_metres(file, "walk.npz", BODY)
     assert np.array_equal(kept.positions, file.positions)
     assert not kept.decisions
     mirrored = replace(file, positions=file.positions * MIRROR)
-    found = points_settled(mirrored, "walk.npz", BODY)
+    found = positions_in_metres(mirrored, "walk.npz", BODY)
     assert np.array_equal(found.positions, file.positions)
     assert "--hand right" in found.decisions[-1]
-    kept = points_settled(mirrored, "walk.npz", BODY, hand="right")
+    kept = positions_in_metres(mirrored, "walk.npz", BODY, hand="right")
     assert np.array_equal(kept.positions, mirrored.positions)
 
 
@@ -81,7 +81,7 @@ def test_keypoints_of_any_axes_and_unit_are_settled(up: Up, unit: str) -> None:
     raw = file.positions @ to_z_up(up) / METRES[unit]
     for flip in (1.0, -1.0):
         points = Points3D("walk.npy", raw * (flip, 1.0, 1.0), file.names, fps=50.0)
-        found = settled(points, BODY)
+        found = points_in_metres(points, BODY)
         apart = np.linalg.norm(found.positions[:, :, None] - found.positions[:, None], axis=-1)
         true = np.linalg.norm(file.positions[:, :, None] - file.positions[:, None], axis=-1)
         assert np.allclose(apart, true, atol=1e-6)
@@ -93,9 +93,9 @@ def test_an_axis_that_a_lying_person_may_have_is_asked_for_and_a_wrong_one_put_r
     file = walk("joints3d")
     lying = replace(file, positions=file.positions @ to_z_up("y") + (0.0, 0.0, 1.0))
     with pytest.raises(ObservationError, match="--up y, or --up z if"):
-        points_settled(lying, "walk.npz", BODY)
+        positions_in_metres(lying, "walk.npz", BODY)
     below = replace(file, positions=file.positions @ to_z_up("z-down"))
-    found = points_settled(below, "walk.npz", BODY)
+    found = positions_in_metres(below, "walk.npz", BODY)
     assert np.allclose(found.positions, file.positions)
     assert "z-down" in found.decisions[0]
 

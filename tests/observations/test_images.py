@@ -8,7 +8,7 @@ import torch
 
 from recon.core.camera import Ground
 from recon.fitting.ground import LEVEL_CAMERA
-from recon.reading.images import keypoints_of, pinhole, undistorted
+from recon.reading.images import keypoints_of, undistorted, undistorted_camera
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
@@ -74,8 +74,8 @@ def test_a_known_pose_is_kept_whatever_the_recording_is():
 def test_one_pose_per_frame_stays_one_per_frame():
     _, camera, _ = filmed()
     moving = camera.replace(T_camera_world=camera.T_camera_world.expand(6, 4, 4))
-    assert pinhole(camera_arrays(moving)).T_camera_world.shape == (6, 4, 4)
-    assert pinhole(camera_arrays(camera)).T_camera_world.shape == (1, 4, 4)
+    assert undistorted_camera(camera_arrays(moving)).T_camera_world.shape == (6, 4, 4)
+    assert undistorted_camera(camera_arrays(camera)).T_camera_world.shape == (1, 4, 4)
 
 
 def test_another_number_of_points_is_refused():

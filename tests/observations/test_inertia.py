@@ -2,7 +2,7 @@
 
 import torch
 
-from observations.start.bone_poses import gradient_by_turns, hessian_by_turns
+from observations.start.bone_poses import gradient_by_rotations, hessian_by_rotations
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, PARENTS
 
@@ -50,8 +50,8 @@ def test_torques_and_inertia_are_the_derivatives_of_the_points():
     counted = weight[:, None] * column
     force[0].index_add_(0, bone, away[..., None] * counted[:, None])
     stiffness[0].index_add_(0, bone, column[..., None] * counted[:, None])
-    push, turning = gradient_by_turns(bones[None], force)
-    mass, across, between = hessian_by_turns(bones[None], stiffness)
+    push, turning = gradient_by_rotations(bones[None], force)
+    mass, across, between = hessian_by_rotations(bones[None], stiffness)
     torch.testing.assert_close(torch.cat((push[0], turning[0].flatten())), gradient)
     upper = torch.cat((mass[0] * torch.eye(3, dtype=torch.float64), across[0]), -1)
     found = torch.cat((upper, torch.cat((across[0].mT, between[0]), -1)))

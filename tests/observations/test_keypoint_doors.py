@@ -10,7 +10,7 @@ import pytest
 import recon
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
-from observations.start.standing import planted_path
+from observations.start.standing import planted_translations
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import FitSettings
@@ -343,7 +343,7 @@ def test_the_path_of_a_body_about_its_pelvis_is_that_of_its_planted_feet():
     root = x[:, 23:25].mean(1)
     rng = np.random.default_rng(3)
     about = x - root[:, None] + rng.normal(scale=0.015, size=x.shape)
-    path = planted_path(points.names, about, np.ones(x.shape[:2], bool), motion.fps)
+    path = planted_translations(points.names, about, np.ones(x.shape[:2], bool), motion.fps)
     walked = root[-1, :2] - root[0, :2]
     assert np.linalg.norm(walked) > 0.5  # metres
     assert np.linalg.norm((path[-1, :2] - path[0, :2]) - walked) < 0.25 * np.linalg.norm(walked)

@@ -13,7 +13,7 @@ import pytest
 
 from recon.fitting.settings import ReadOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
-from recon.reading.places import load_silhouettes, masked, match_cameras
+from recon.reading.places import inside_silhouettes, load_silhouettes, match_cameras
 from recon.reading.views import Views, read_views
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose, write_toml
 
@@ -37,7 +37,7 @@ def bystander(t: int) -> np.ndarray:
 
 def load_views(paths, calibration, person=None, *, fps, **how) -> Views:
     options = ReadOptions(camera=calibration, frame_rate=fps, **how)
-    return read_views(paths, options).person(person)
+    return read_views(paths, options).views_of_person(person)
 
 
 def write_scene(
@@ -235,20 +235,20 @@ def test_keypoints_outside_the_silhouette_are_not_believed(tmp_path):
     mask[10:40, 10:40] = 255
     for frame, picture in ((5, mask), (6, 0 * mask)):
         cv2.imwrite(str(tmp_path / f"frame_{frame}.png"), picture)
-    out = masked(file, load_silhouettes(tmp_path), first_frame=5)
+    out = inside_silhouettes(file, load_silhouettes(tmp_path), first_frame=5)
     assert out.confidence.tolist() == [[1, 0, 1, 0], [0] * 4, [1] * 4]
     assert (out.pixels[out.confidence == 0] == 0).all()
     np.savez(tmp_path / "mask.npz", mask=np.stack((mask, 0 * mask)) > 0)
-    same = masked(file, load_silhouettes(tmp_path / "mask.npz"))
+    same = inside_silhouettes(file, load_silhouettes(tmp_path / "mask.npz"))
     assert np.array_equal(same.confidence, out.confidence)
     with pytest.raises(ValueError, match="no mask is of a frame from 20 to 22"):
-        masked(file, load_silhouettes(tmp_path), first_frame=20)
+        inside_silhouettes(file, load_silhouettes(tmp_path), first_frame=20)
     small = replace(file, camera=CameraArrays(np.eye(3), (40, 50)))
     with pytest.raises(ValueError, match="40 x 50 pixels, got 80 x 50"):
-        masked(small, load_silhouettes(tmp_path), first_frame=5)
+        inside_silhouettes(small, load_silhouettes(tmp_path), first_frame=5)
     (tmp_path / "frame_5.png").write_bytes(b"no image")
     with pytest.raises(ValueError, match="damaged"):
-        masked(file, load_silhouettes(tmp_path), first_frame=5)
+        inside_silhouettes(file, load_silhouettes(tmp_path), first_frame=5)
 
 
 @pytest.mark.parametrize("name", ["single_balancing", "multi_participants12"])

@@ -8,7 +8,7 @@ from observations.correspondences import BodyPoints
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.camera import Camera, full_hd_camera, pose_looking_at
-from recon.simulation.images import orbiting
+from recon.simulation.images import orbiting_camera
 from tests import laws
 from tests.conftest import GOLDEN
 
@@ -27,7 +27,7 @@ def golden():
 def a_camera(clips: int = 2, poses: int = 1) -> Camera:
     """Looking at the walkers, fixed or carried around them by a radian; axes (clips, poses)."""
     camera = full_hd_camera().to(dtype=torch.float64).placed(PLACE, TARGET)
-    moving = orbiting(camera, TARGET, poses, 1.0) if poses > 1 else camera
+    moving = orbiting_camera(camera, TARGET, poses, 1.0) if poses > 1 else camera
     T = moving.T_camera_world.reshape(1, poses, 4, 4).expand(clips, poses, 4, 4)
     return camera.replace(
         camera_matrix=camera.camera_matrix.expand(clips, 1, 3, 3), T_camera_world=T

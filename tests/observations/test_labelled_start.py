@@ -126,7 +126,7 @@ def test_a_cloud_with_labels_begins_with_them():
     few = cloud.coarse(body)
     assert few.labels is not None
     assert torch.equal(few.labels.present, few.present)
-    thin = cloud.thinned(50)
+    thin = cloud.with_at_most_points(50)
     assert thin.labels is not None
     assert thin.labels.places.shape == thin.points.shape
     with pytest.raises(ObservationError, match="expected labels for all points"):

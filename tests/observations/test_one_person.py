@@ -9,7 +9,7 @@ from observations.depth import PointCloud
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile, save_observation
-from recon.reading.clouds import cloud_of, one_person
+from recon.reading.clouds import cloud_of, clusters_of_one_person
 from recon.simulation.depth import PixelSurface, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import box
@@ -37,7 +37,7 @@ def people(frames: int = 12, apart: float = 1.5):
 def test_one_of_two_people_is_followed():
     """The largest thing of every frame was taken, so the body flew between two people."""
     clouds = people()
-    found, beside = one_person(clouds, 0.2)
+    found, beside = clusters_of_one_person(clouds, 0.2)
     assert beside == len(clouds)
     middles = np.array([cloud.mean(0)[0] - 0.02 * k for k, cloud in enumerate(found)])
     assert np.ptp(middles) < 0.1
@@ -45,18 +45,18 @@ def test_one_of_two_people_is_followed():
 
 def test_a_person_alone_and_limbs_cut_off_by_an_occluder_are_no_company():
     whole = [cloud[cloud[:, 0] < 0.75] for cloud in people()]
-    assert one_person(whole, 0.2)[1] == 0
+    assert clusters_of_one_person(whole, 0.2)[1] == 0
     lying = [cloud[:, [2, 1, 0]] for cloud in whole]
     divided = [cloud[np.abs(cloud[:, 0] - 1.0) > 0.15] for cloud in lying]
-    assert one_person(divided, 0.2)[1] == 0
+    assert clusters_of_one_person(divided, 0.2)[1] == 0
 
 
 def test_empty_frames_stay_empty():
     clouds = people()
     clouds[3] = clouds[3][:0]
-    found, _ = one_person(clouds, 0.2)
+    found, _ = clusters_of_one_person(clouds, 0.2)
     assert len(found[3]) == 0
-    assert one_person([clouds[3]], 0.2)[1] == 0
+    assert clusters_of_one_person([clouds[3]], 0.2)[1] == 0
 
 
 @pytest.mark.parametrize("posed", [False, True])

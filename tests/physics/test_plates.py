@@ -46,7 +46,7 @@ def test_each_plate_belongs_to_the_foot_above_it(stand) -> None:
     measured = forces_under_feet(plates_below(right_first, 0.05), found, motion)
     assert measured.known.all()
     assert measured.centre[0] == pytest.approx(feet + AHEAD)
-    table = measured.compared(found)
+    table = measured.errors_of(found)
     for row in table.values():
         assert row["frames"] == 51
         assert row["centre_cm"] == pytest.approx(1.0)
@@ -60,7 +60,7 @@ def test_a_plate_under_both_feet_is_left_out_and_said(stand) -> None:
     measured = forces_under_feet(plates_below(between, 1.0), found, motion)
     assert not measured.known.any()
     assert "both feet stood on one plate" in measured.warnings[0]
-    assert measured.compared(found) == {}
+    assert measured.errors_of(found) == {}
 
 
 @pytest.mark.parametrize(

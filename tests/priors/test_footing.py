@@ -40,7 +40,7 @@ def test_the_draw_whose_feet_rest_is_kept(stands) -> None:
     )
     footing = FootingSettings(draws=4, strictness=50.0)
     random = torch.Generator().manual_seed(0)
-    selected = footing.selected(before, after, touching.expand(8, -1), random)
+    selected = footing.selected_draws(before, after, touching.expand(8, -1), random)
     assert selected.tolist() == [1, 6]
 
 
@@ -49,7 +49,7 @@ def test_bodies_come_nearer_to_the_ground_but_fly_where_they_fly(stands) -> None
     footing = FootingSettings(raised=0.2, lowered=0.1)
 
     def height(after: State, before: State) -> float:
-        return float(footing.grounded(before, after, touching).translation[0, 2])
+        return float(footing.lowered_towards_ground(before, after, touching).translation[0, 2])
 
     level = float(state.translation[0, 2])
     high, low = lifted(state, 0.12), lifted(state, -0.06)

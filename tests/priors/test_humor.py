@@ -14,7 +14,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import (
     Frame,
     canonical_state,
-    distinct_features,
+    independent_features,
     initial_features,
     rest_pelvis,
     states_of,
@@ -35,7 +35,7 @@ def humor(body: BodyModel, still: bool = False, width: int = 64) -> Humor:
     networks = HumorNetworks(width).to(body.template.dtype).requires_grad_(False)
     for parameter in networks.decoder.net[9].parameters():
         parameter.mul_(0.0 if still else 0.02)
-    features = distinct_features()
+    features = independent_features()
     size = len(features)
     covariances = torch.eye(size, dtype=torch.float64).expand(2, size, size)
     means = torch.stack((torch.zeros(size), torch.ones(size))).double()
@@ -97,7 +97,7 @@ def test_latents_are_posterior_means_along_the_roll_out(body: BodyModel) -> None
     start = frame.to_frame(states[:, 0], pelvis).pack()
     decoder = FrozenDecoder.of(prior.networks.decoder)
     rollout = roll_out(decoder, start, pelvis, variables.latents)
-    inside = rollout.frames(frame).to_frame(states[:, 1:], pelvis[:, None]).pack()
+    inside = rollout.canonical_frames(frame).to_frame(states[:, 1:], pelvis[:, None]).pack()
     mean, _ = prior.networks.posterior(rollout.inputs, inside)
     torch.testing.assert_close(variables.latents, mean, rtol=0, atol=1e-9)
 
@@ -115,7 +115,7 @@ def test_padding_changes_nothing(body: BodyModel) -> None:
 def test_the_first_frames_alone_are_the_first_frames(body: BodyModel) -> None:
     prior = humor(body)
     variables = prior.encode(motions())
-    whole, part = prior.decode(variables), prior.decode(variables.first(5))
+    whole, part = prior.decode(variables), prior.decode(variables.first_frames(5))
     assert part.motion.frames == 5
     torch.testing.assert_close(part.motion.rotations, whole.motion.rotations[:, :5])
     torch.testing.assert_close(part.motion.translation, whole.motion.translation[:, :5])

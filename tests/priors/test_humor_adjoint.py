@@ -4,7 +4,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.loop import STATE_ORDER, FrozenDecoder, Unrolled, _unrolled, unroll_given
+from priors.humor.loop import (
+    STATE_ORDER,
+    FrozenDecoder,
+    RolledOutSteps,
+    _rolled_out,
+    roll_out_with_biases,
+)
 from priors.humor.networks import HumorNetworks
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden
@@ -24,11 +30,11 @@ def problem(clips: int) -> tuple[FrozenDecoder, Tensor, Tensor]:
     return decoder, packed[:clips, STATE_ORDER].requires_grad_(), added.requires_grad_()
 
 
-def recorded(decoder: FrozenDecoder, start: Tensor, added: Tensor) -> Unrolled:
-    return _unrolled(decoder, start, added)[0]
+def recorded(decoder: FrozenDecoder, start: Tensor, added: Tensor) -> RolledOutSteps:
+    return _rolled_out(decoder, start, added)[0]
 
 
-def tensors(made: Unrolled) -> tuple[Tensor, ...]:
+def tensors(made: RolledOutSteps) -> tuple[Tensor, ...]:
     return made.inputs, made.vectors, made.turns, made.rest
 
 
@@ -36,7 +42,7 @@ def tensors(made: Unrolled) -> tuple[Tensor, ...]:
 def test_it_is_the_recorded_derivative(clips: int) -> None:
     decoder, start, added = problem(clips)
     results: list[tuple[Tensor, ...]] = []
-    for made in (unroll_given(decoder, start, added), recorded(decoder, start, added)):
+    for made in (roll_out_with_biases(decoder, start, added), recorded(decoder, start, added)):
         torch.manual_seed(3)
         value = torch.stack([(t * torch.randn_like(t)).sum() for t in tensors(made)]).sum()
         results.append((value, *torch.autograd.grad(value, (start, added))))
@@ -49,7 +55,7 @@ def test_it_is_the_numerical_derivative(output: int) -> None:
     decoder, start, added = problem(2)
 
     def one(start: Tensor, added: Tensor) -> Tensor:
-        return tensors(unroll_given(decoder, start, added))[output]
+        return tensors(roll_out_with_biases(decoder, start, added))[output]
 
     assert torch.autograd.gradcheck(one, (start, added), fast_mode=True)
 
@@ -62,7 +68,7 @@ def test_it_is_exact_where_nothing_turns() -> None:
     decoder = FrozenDecoder.of(networks.decoder)
     _, start, added = problem(2)
     still = torch.zeros_like(added).requires_grad_()
-    turns = unroll_given(decoder, start, still).turns
+    turns = roll_out_with_biases(decoder, start, still).turns
     (found,) = torch.autograd.grad(turns[0, 0, 5, 1, 2], still)
     spin = found[0, 0, decoder.given.shape[1] - 216 + 139 :][15:18]
     # R' = Exp(2 h) R, so at h = 0 the derivative by h_k is 2 hat(e_k) R
@@ -73,7 +79,7 @@ def test_it_is_exact_where_nothing_turns() -> None:
 
 def test_it_can_be_asked_twice_and_leaves_what_it_is_given() -> None:
     decoder, start, added = problem(2)
-    made = tensors(unroll_given(decoder, start, added))
+    made = tensors(roll_out_with_biases(decoder, start, added))
     given = tuple(torch.randn_like(t) for t in made)
     kept = tuple(t.clone() for t in given)
     first = torch.autograd.grad(made, (start, added), given, retain_graph=True)
@@ -86,7 +92,7 @@ def test_it_can_be_asked_twice_and_leaves_what_it_is_given() -> None:
 
 def test_a_second_derivative_is_refused() -> None:
     decoder, start, added = problem(1)
-    value = unroll_given(decoder, start, added).vectors.square().sum()
+    value = roll_out_with_biases(decoder, start, added).vectors.square().sum()
     (gradient,) = torch.autograd.grad(value, start, create_graph=True)
     with pytest.raises(RuntimeError, match="differentiate twice"):
         gradient.sum().backward()
@@ -94,6 +100,6 @@ def test_a_second_derivative_is_refused() -> None:
 
 def test_one_step_is_enough() -> None:
     decoder, start, added = problem(2)
-    value = unroll_given(decoder, start, added[:1]).rest.sum()
+    value = roll_out_with_biases(decoder, start, added[:1]).rest.sum()
     (gradient,) = torch.autograd.grad(value, start)
     assert gradient.abs().max() > 0

@@ -17,7 +17,7 @@ from priors.humor.state import (
     Frame,
     State,
     canonical_state,
-    distinct_features,
+    independent_features,
     initial_features,
     rest_pelvis,
     states_of,
@@ -130,17 +130,19 @@ def test_samples_have_the_first_joints_that_were_drawn() -> None:
     body = BodyModel.load()
     prior = humor(body, still=True)
     states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
-    wanted = initial_features(canonical_state(states, rest_pelvis(states)))[:, distinct_features()]
+    wanted = initial_features(canonical_state(states, rest_pelvis(states)))[
+        :, independent_features()
+    ]
     size = wanted.shape[1]
     covariances = 1e-6 * torch.eye(size, dtype=torch.float64).expand(2, size, size)
     mixture = Mixture.create(
-        torch.tensor([0.5, 0.5]), wanted.double(), covariances, distinct_features()
+        torch.tensor([0.5, 0.5]), wanted.double(), covariances, independent_features()
     )
     prior = replace(prior, initial=mixture)
     found = sample(prior, 4, 6, torch.Generator().manual_seed(0)).motion
     assert found.translation.shape == (6, 4, 3)
     joints = body.pose(found).joints[:, 0].flatten(1)
-    features = joints[:, distinct_features()[: 66 - 2]]
+    features = joints[:, independent_features()[: 66 - 2]]
     nearest = torch.cdist(features, wanted[:, : 66 - 2]).amin(1)
     assert (nearest < 0.05).all()  # metres, over all joints; a draw is 1 mm off in each number
     identity = torch.eye(138).expand(1, 138, 138)

@@ -99,14 +99,16 @@ def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
     stage = Shooting.published(prior, "joints").stages((Term("data", zero, 1.0),))[2]
     stage = replace(
-        stage, portion=lambda x: x.first(4), minimiser=replace(stage.minimiser, max_iterations=2)
+        stage,
+        portion=lambda x: x.first_frames(4),
+        minimiser=replace(stage.minimiser, max_iterations=2),
     )
     start = prior.encode(motions(8))
     scene = Scene.create(2, like=start.translation)
     found, _, solution = laws.minimised(stage, body, start, scene)
     assert torch.equal(found.latents[:, 3:], start.latents[:, 3:])
     assert not torch.equal(found.latents[:, :3], start.latents[:, :3])
-    short = prior.decode(found.first(4))
+    short = prior.decode(found.first_frames(4))
     energies = torch.stack([
         term.weight * term.energy(Estimate(short, body.pose(short.motion), scene))
         for term in stage.terms

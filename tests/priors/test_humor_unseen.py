@@ -11,7 +11,7 @@ from observations.keypoints2d import Keypoints2D
 from priors.humor.collocation import Collocation, all_joints_located
 from priors.humor.likely import LikelyStates
 from priors.humor.prior import Humor
-from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
+from priors.look.looking import UnseenLimbProposals, UnseenLimbs, load_network
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
 from recon.core.skeleton import LEGS
@@ -79,7 +79,7 @@ def test_clips_without_unseen_limbs_get_no_proposals(body: BodyModel) -> None:
     clip = swinging(6, 4)
     unseen = UnseenLimbs.of([seen_data(list(LEGS), clips=2, moments=6)], body)
     assert unseen is not None
-    propose = LookedLimbs(load_network(), unseen)
+    propose = UnseenLimbProposals(load_network(), unseen)
     estimate = Estimate.of_clip(clip, body)
     assert propose(estimate, 0) == (None, "")
     motions, said = propose(estimate, 1)
@@ -97,7 +97,7 @@ def test_what_is_far_from_what_the_network_knows_gets_no_proposals(body: BodyMod
     clip, unseen = swinging(6, 4), UnseenLimbs.of([seen_data(list(LEGS), moments=6)], body)
     assert unseen is not None
     high = clip.replace(translation=clip.translation + torch.tensor([0.0, 0.0, 3.0]))
-    found, said = LookedLimbs(load_network(), unseen)(Estimate.of_clip(high, body), 0)
+    found, said = UnseenLimbProposals(load_network(), unseen)(Estimate.of_clip(high, body), 0)
     assert found is None
     assert "far from" in said
 

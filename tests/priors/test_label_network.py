@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from priors.labels.looking import CloudLabeller, in_network_frame, neighbouring_moments
 from priors.labels.networks import (
     LabelNetwork,
+    farthest_point_samples,
     kernel_weights,
     local_patches,
-    spread_points,
     squared_distances,
 )
 from priors.labels.regions import MIRRORED_REGIONS
@@ -24,10 +24,10 @@ from training.labels.clouds import (
     CloudCorpus,
     CloudVariation,
     LabelledClouds,
+    at_most_points,
     augmented,
-    half_hidden,
     mirrored_where,
-    thinned,
+    with_half_hidden,
 )
 from training.labels.train import LabelRun, LabelTraining, export_weights
 
@@ -105,14 +105,14 @@ def test_points_on_a_line_have_no_normal():
 
 def test_spread_points_are_present_and_far_apart():
     points, present = a_cloud()
-    index = spread_points(points, present, 10)
+    index = farthest_point_samples(points, present, 10)
     assert present.gather(-1, index).all()
     chosen = points.take_along_dim(index[..., None], -2)
     near = squared_distances(chosen, chosen) + 10 * torch.eye(10)
     assert near.min().sqrt() > 0.15
     few = torch.zeros_like(present)
     few[:, 5] = True
-    assert (spread_points(points, few, 3) == 5).all()
+    assert (farthest_point_samples(points, few, 3) == 5).all()
 
 
 def test_labels_do_not_depend_on_the_order_of_points_nor_on_absent_rows(labeller):
@@ -157,7 +157,7 @@ def test_moments_look_at_those_around_them_in_time():
 
 
 def test_mirrored_clouds_have_the_labels_of_the_other_side():
-    clouds = a_corpus().take(torch.arange(6), 200, None)
+    clouds = a_corpus().windows(torch.arange(6), 200, None)
     which = torch.tensor([True, False] * 3)
     other = mirrored_where(which, clouds)
     assert torch.equal(other.points[1], clouds.points[1])
@@ -171,17 +171,17 @@ def test_mirrored_clouds_have_the_labels_of_the_other_side():
 
 
 def test_half_hidden_clouds_have_half_of_the_points():
-    clouds = a_corpus().take(torch.arange(6), 400, None)
-    hidden = half_hidden(clouds, torch.Generator().manual_seed(0))
+    clouds = a_corpus().windows(torch.arange(6), 400, None)
+    hidden = with_half_hidden(clouds, torch.Generator().manual_seed(0))
     share = (hidden.regions >= 0).flatten(1).sum(-1) / (clouds.regions >= 0).flatten(1).sum(-1)
     assert (share - 0.5).abs().max() < 0.01
     assert not (hidden.present & ~clouds.present).any()
 
 
 def test_variations_keep_what_is_true_of_points():
-    clouds = a_corpus().take(torch.arange(6), 300, None)
+    clouds = a_corpus().windows(torch.arange(6), 300, None)
     variation = CloudVariation(tilted=1.0, hidden=1.0, lost_limb=1.0)
-    other = thinned(augmented(clouds, variation, torch.Generator().manual_seed(1)), 250)
+    other = at_most_points(augmented(clouds, variation, torch.Generator().manual_seed(1)), 250)
     assert other.points.shape[2] == 250
     assert not other.level.any()
     # the points were their own places up to a turn and a mirror image

@@ -19,7 +19,7 @@ from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.__main__ import train
 from training.pose import fit_density, score
-from training.recordings import mirrored_rotations, poses
+from training.recordings import mirrored_rotations, poses_of
 from training.settings import CorpusSettings
 from training.weights import save_checkpoint
 
@@ -279,9 +279,9 @@ def test_training_learns_from_training_clips_only(splits: Splits, tmp_path: Path
     # it named the temporary file that the weights were written to first
     assert log.strip().endswith(f"wrote {out}")
 
-    learned = poses(settings.load_clips("train"), 10.0, 500)[:, 1:]
+    learned = poses_of(settings.load_clips("train"), 10.0, 500)[:, 1:]
     turned = learned @ so3.exp(torch.full((21, 3), 0.3))
-    assert len(poses(settings.load_clips("train"), 10.0, most=7)) == 2 * 2 * 7
+    assert len(poses_of(settings.load_clips("train"), 10.0, most=7)) == 2 * 2 * 7
     density = PosePrior.load(out).density
     assert score(density, learned) > score(density, turned)
 

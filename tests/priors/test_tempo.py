@@ -9,9 +9,9 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
-from priors.humor.likely import FASTEST, time_factor
+from priors.humor.likely import FASTEST, slowing_factor
 from priors.humor.prior import Humor
-from priors.humor.state import at_tempo, on_network_clock, states_of
+from priors.humor.state import at_tempo, relabelled_at_30_hz, states_of
 from recon.body.model import BodyModel
 from recon.core.skeleton import LEGS
 from recon.method.reconstruction import solve
@@ -36,28 +36,28 @@ def travelling(*speeds: float, hidden: tuple[int, ...] = (), fps: float = 60.0) 
 
 @pytest.mark.parametrize("speed", [0.0, 1.5, FASTEST - 0.01])
 def test_who_goes_as_fast_as_people_of_the_corpus_is_read_as_they_are(speed: float) -> None:
-    assert time_factor([travelling(speed)]) == 1.0
+    assert slowing_factor([travelling(speed)]) == 1.0
 
 
 def test_twice_as_fast_is_read_slower_by_the_root_of_two() -> None:
-    assert time_factor([travelling(2 * FASTEST)]) == pytest.approx(math.sqrt(0.5), abs=1e-4)
+    assert slowing_factor([travelling(2 * FASTEST)]) == pytest.approx(math.sqrt(0.5), abs=1e-4)
 
 
 def test_points_that_nobody_saw_tell_no_speed() -> None:
     seen = travelling(2 * FASTEST, hidden=tuple(LEGS))
-    assert time_factor([seen]) == pytest.approx(math.sqrt(0.5), abs=1e-4)
-    assert time_factor([travelling(2 * FASTEST, hidden=tuple(range(22)))]) == 1.0
+    assert slowing_factor([seen]) == pytest.approx(math.sqrt(0.5), abs=1e-4)
+    assert slowing_factor([travelling(2 * FASTEST, hidden=tuple(range(22)))]) == 1.0
 
 
 def test_the_slowest_clip_of_a_batch_counts_and_the_fastest_sensor() -> None:
     fast, mixed = travelling(8.0, 9.0), travelling(0.0, 9.0)
-    assert time_factor([fast]) == pytest.approx(math.sqrt(FASTEST / 8), abs=1e-4)
-    assert time_factor([mixed]) == 1.0
-    assert time_factor([mixed, fast]) == time_factor([fast])
+    assert slowing_factor([fast]) == pytest.approx(math.sqrt(FASTEST / 8), abs=1e-4)
+    assert slowing_factor([mixed]) == 1.0
+    assert slowing_factor([mixed, fast]) == slowing_factor([fast])
 
 
 def test_sensors_without_places_in_the_world_tell_no_speed() -> None:
-    assert time_factor([Term("other", lambda e: e.motion.shape.sum(-1), 1.0)]) == 1.0
+    assert slowing_factor([Term("other", lambda e: e.motion.shape.sum(-1), 1.0)]) == 1.0
 
 
 def test_a_clip_read_slower_lasts_as_long_as_before() -> None:
@@ -85,7 +85,7 @@ def test_networks_see_frames_and_not_the_clock(body: BodyModel) -> None:
     """What they think of a motion read at a rate is what they think of it slowed down to 30 Hz."""
     clip = swinging(9, 3)[None]
     fast = clip.replace(fps=45.0)
-    slow, quick = states_of(clip, body), states_of(on_network_clock(fast), body)
+    slow, quick = states_of(clip, body), states_of(relabelled_at_30_hz(fast), body)
     torch.testing.assert_close(quick.pack(), slow.pack(), rtol=0, atol=0)
     method = Collocation(humor(body))
     prior = method.stages((travelling(8.0, hidden=tuple(LEGS)),))[-1].prior

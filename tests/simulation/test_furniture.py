@@ -8,8 +8,8 @@ from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
 from recon.simulation.depth import PERFECT, PixelSurface, depth_image, depth_points
 from recon.simulation.points import Corruption
-from recon.simulation.scenery import box, chair, furnished, joined_meshes, table
-from recon.simulation.sensors import check_apply
+from recon.simulation.scenery import box, chair, furniture_around, joined_meshes, table
+from recon.simulation.sensors import refuse_other_options
 from recon.simulation.settings import FILM_DEFAULTS, SurfaceSettings
 from tests import laws
 
@@ -26,12 +26,12 @@ def test_faces_look_outwards(mesh):
 
 def test_furniture_stands_where_it_is_said_to():
     middle = np.array([1.0, 2.0, 0.9])
-    along_x = furnished(("chair",), middle, 0.0).vertices.mean(0)
+    along_x = furniture_around(("chair",), middle, 0.0).vertices.mean(0)
     assert along_x[0] < 0.7
     assert along_x[1] == pytest.approx(2.0, abs=1e-9)
-    assert furnished(("table",), middle, 0.0).vertices[:, 1].mean() > 2.5
-    assert furnished(("box",), middle, 0.0).vertices[:, 1].mean() < 1.5
-    assert furnished(("board",), middle, np.pi / 2).vertices[:, 1].mean() > 2.4
+    assert furniture_around(("table",), middle, 0.0).vertices[:, 1].mean() > 2.5
+    assert furniture_around(("box",), middle, 0.0).vertices[:, 1].mean() < 1.5
+    assert furniture_around(("board",), middle, np.pi / 2).vertices[:, 1].mean() > 2.4
 
 
 def test_a_board_hides_what_is_behind_it(body):
@@ -81,4 +81,4 @@ def test_meshes_together_keep_their_faces():
 )
 def test_options_without_effect_are_refused(kind, surface, words):
     with pytest.raises(ReconError, match=words):
-        check_apply(kind, FILM_DEFAULTS, surface, Corruption())
+        refuse_other_options(kind, FILM_DEFAULTS, surface, Corruption())

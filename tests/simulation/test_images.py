@@ -6,7 +6,13 @@ import torch
 
 from observations.correspondences import BodyPoints
 from recon.core.camera import full_hd_camera
-from recon.simulation.images import camera_arrays, crosses, dome, keypoints2d, orbiting
+from recon.simulation.images import (
+    camera_arrays,
+    camera_ring,
+    crosses_box,
+    keypoints2d,
+    orbiting_camera,
+)
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, turned, walk
 
@@ -22,7 +28,7 @@ def film(layout="openpose25", camera=None, seed=0, **corruption):
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_a_dome_sees_the_whole_body_always(count):
     truth = turned(walk(60), 1.0)
-    for camera in dome(truth, bundled(), full_hd_camera(), count, first=0.7):
+    for camera in camera_ring(truth, bundled(), full_hd_camera(), count, first=0.7):
         file = keypoints2d(truth, bundled(), camera, Corruption(), 0)
         assert (file.confidence > 0).all()
         assert np.ptp(file.pixels[..., 1], axis=1).max() > 1080 / 3  # and large
@@ -102,7 +108,7 @@ def test_what_leaves_the_image_or_is_behind_is_not_seen():
 def test_an_orbiting_camera_keeps_looking_at_its_target():
     target = torch.tensor([0.2, -0.1, 1.0])
     start = full_hd_camera().placed(torch.tensor([4.0, 0.0, 1.5]), target)
-    moving = orbiting(start, target, 30, 0.7)
+    moving = orbiting_camera(start, target, 30, 0.7)
     assert moving.T_camera_world.shape == (30, 4, 4)
     torch.testing.assert_close(moving.T_camera_world[0], start.T_camera_world)
     pixels = moving.project(target.expand(30, 1, 3)).pixels
@@ -119,4 +125,4 @@ def test_a_way_crosses_a_box_or_not():
     ends = torch.tensor(
         [[2.0, 0.5, 0.5], [-0.5, 0.5, 0.5], [2.0, 5.0, 0.5], [-2.0, 0.5, 0.5], [0.5, 0.5, 0.5]]
     )
-    assert crosses(origin, ends, box).tolist() == [True, False, False, False, True]
+    assert crosses_box(origin, ends, box).tolist() == [True, False, False, False, True]

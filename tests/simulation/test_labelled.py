@@ -9,7 +9,7 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.filmed import walk
-from training.labels.rooms import all_around, drawn_room, glimpse
+from training.labels.rooms import body_points, drawn_room, room_points
 from training.labels.shards import (
     Postures,
     Source,
@@ -40,7 +40,7 @@ def test_points_lie_where_their_labels_say(people):
     upright = places[:, [2, 0, 1]] + [0.0, 0.0, 1.3]
     room = drawn_room(upright[None], random)
     for left_over in ("nothing", "ball", "box"):
-        seen = glimpse(upright, body.faces.numpy(), places, room, left_over, random)
+        seen = room_points(upright, body.faces.numpy(), places, room, left_over, random)
         on = seen.on_body > 0
         assert on.sum() > 200
         away = np.linalg.norm(
@@ -51,7 +51,7 @@ def test_points_lie_where_their_labels_say(people):
         assert np.abs(seen.places[~on]).max(initial=0) == 0
         if left_over == "box":
             assert (~on).sum() > 10
-    scanned = all_around(upright, body.faces.numpy(), places, 500, random)
+    scanned = body_points(upright, body.faces.numpy(), places, 500, random)
     on = scanned.on_body > 0
     gap = scanned.points[on] - scanned.places[on][:, [2, 0, 1]] - [0.0, 0.0, 1.3]
     assert np.abs(gap).max() < 0.06
@@ -110,7 +110,9 @@ def test_the_bundled_network_tells_the_regions_of_a_walker_but_for_sides():
     places = body.template.double().numpy()
     regions = Regions.of(body).of_vertex
     labeller, right, strays = CloudLabeller.load(), [], []
-    seen = [glimpse(row, body.faces.numpy(), places, room, "nothing", random) for row in vertices]
+    seen = [
+        room_points(row, body.faces.numpy(), places, room, "nothing", random) for row in vertices
+    ]
     for each in seen:
         pick = random.permutation(len(each.points))[:512]
         said = labeller(

@@ -63,7 +63,7 @@ def test_only_cycles_of_the_part_and_licence_on_flat_ground(folder):
 
 def test_cycles_are_what_was_recorded(folder):
     corpus = corpus_of(folder)
-    batch = corpus.every()
+    batch = corpus.all_cycles()
     for row, (clip, cycle) in enumerate(zip(corpus.clips, corpus.cycles, strict=True)):
         period = {"08_01": 0.8, "08_02": 0.9, "09_01": 1.0}[clip]
         k = round((period - 0.8) / 0.1)
@@ -77,7 +77,7 @@ def test_nothing_varied_is_nothing_changed(folder):
     corpus = corpus_of(folder)
     random = torch.Generator().manual_seed(0)
     drawn = corpus.draw(16, RECORDED, random).anchors.pack()
-    every = corpus.every().anchors.pack()
+    every = corpus.all_cycles().anchors.pack()
     away = _nearest(drawn, every)
     assert float(away.max()) < 1e-3
 
@@ -100,7 +100,7 @@ def test_a_mirrored_walk_begins_with_the_other_foot(folder):
     always = replace(RECORDED, mirror=1.0)
     random = torch.Generator().manual_seed(0)
     drawn = corpus.draw(32, always, random).anchors.pack()
-    every = corpus.every()
+    every = corpus.all_cycles()
     flip = torch.tensor([-1.0, 1.0, 1.0])
     mirrored = (flip[:, None] * every.anchors.rotations * flip)[..., [0, 2, 1], :, :]
     rotations = torch.cat((mirrored, every.anchors.rotations[..., 3:, :, :]), -3)
@@ -116,7 +116,7 @@ def weights(folder: Path) -> AnchorWeights:
 
 def test_cycles_are_their_components(folder, weights):
     learned = corpus_of(folder)
-    rows = learned.every().anchors.pack()
+    rows = learned.all_cycles().anchors.pack()
     mean, log_variance = weights.networks.posterior(rows)
     made = weights.networks.decode(mean, learned.shape)
     assert float((made - rows).abs().max()) < 0.05  # the training cycles, nearly

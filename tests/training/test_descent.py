@@ -8,7 +8,7 @@ import torch
 from recon.body.model import BodyModel
 from recon.formats.motions import save_motion
 from tests.walking import a_walk
-from training.run import Run, cosine
+from training.run import Run, cosine_decay
 from training.settings import TrainingSettings
 
 
@@ -46,6 +46,6 @@ def test_a_gradient_that_is_not_finite_moves_nothing(run):
 
 
 def test_rates_fall_to_a_hundredth():
-    assert cosine(0.0) == pytest.approx(1.0)
-    assert cosine(0.5) == pytest.approx(0.505)
-    assert cosine(1.0) == pytest.approx(0.01)
+    assert cosine_decay(0.0) == pytest.approx(1.0)
+    assert cosine_decay(0.5) == pytest.approx(0.505)
+    assert cosine_decay(1.0) == pytest.approx(0.01)

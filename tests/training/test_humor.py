@@ -18,7 +18,7 @@ from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR
 from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
-from training.humor.corpus import Corpus, StateWindows, Variation, kind_of
+from training.humor.corpus import Corpus, StateWindows, Variation, kind_of_motion
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.train import HumorRun, HumorTraining, export_weights, train
@@ -93,13 +93,13 @@ def test_uneven_ground_and_other_parts_are_left_out(folder: Path) -> None:
 
 def test_windows_are_what_was_recorded(folder: Path) -> None:
     body = BodyModel.load()
-    windows = corpus_of(folder, body).every(11)
+    windows = corpus_of(folder, body).all_windows(11)
     clip = swinging(240, 0, 120.0).to(dtype=torch.float32)  # 08_01
     expected = states_of(clip[None], body)[0]
     for name, value in windows.states[0].tensors().items():
         target = expected.tensors()[name][1:42:4]
         torch.testing.assert_close(value, target, rtol=0, atol=2e-3)  # m/s, of float32 / 120 Hz
-    between = corpus_of(folder, body).every(11).states[5]  # 09_01, recorded at 30 Hz
+    between = corpus_of(folder, body).all_windows(11).states[5]  # 09_01, recorded at 30 Hz
     known = swinging(240, 1, 120.0)  # the same function of time
     torch.testing.assert_close(between.pose[3], known.rotations[13, 1:].float(), rtol=0, atol=2e-3)
 
@@ -170,7 +170,7 @@ def test_other_bodies_stand_on_the_ground_too(tmp_path: Path) -> None:
 
 def test_losses_are_zero_at_the_truth(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.identity())
     with torch.no_grad():
         found, target = unroll(networks, windows, torch.ones(4, dtype=torch.bool), None)
     certain = (2 * windows.contacts[:, 1:] - 1) * 100
@@ -191,7 +191,7 @@ def test_losses_are_zero_at_the_truth(folder: Path) -> None:
 
 def test_own_predictions_are_fed_back_without_gradient(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.identity())
     truth, target = unroll(networks, windows, torch.tensor([True] * 4), None)
     own, same = unroll(networks, windows, torch.tensor([True, False, True, False]), None)
     torch.testing.assert_close(own.after.joints[:, 0], truth.after.joints[:, 0])
@@ -248,11 +248,11 @@ def test_scales_change_nothing_but_the_numbers_that_are_learned(folder: Path) ->
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED, windows=20)
     scaling = Scaling.of(windows.states, rest_pelvis(windows.states[:, 0]))
     plain = HumorNetworks(64)
-    scaled = ScaledNetworks.around(plain, scaling)
+    scaled = ScaledNetworks.wrapping(plain, scaling)
     assert not torch.equal(scaled.core.prior_net.net[0].weight, plain.prior_net.net[0].weight)
     x = windows.states.pack()[:, 0]
     after, latent = x + 0.01 * torch.randn_like(x), torch.randn(len(x), 48)
-    for other in (scaled, scaled.plain()):
+    for other in (scaled, scaled.unscaled_networks()):
         pairs = (
             (plain.prior(x)[0], other.prior(x)[0]),
             (plain.posterior(x, after)[1], other.posterior(x, after)[1]),
@@ -295,7 +295,7 @@ def test_every_setting_of_a_training_has_an_option_of_its_own() -> None:
 
 
 def test_kinds_of_motion_are_recognised_by_words() -> None:
-    assert kind_of("walk on uneven terrain") == "uneven ground"
-    assert kind_of("run/jog") == "run"
-    assert kind_of("salsa dance") == "dance"
-    assert kind_of("wash self") == "other"
+    assert kind_of_motion("walk on uneven terrain") == "uneven ground"
+    assert kind_of_motion("run/jog") == "run"
+    assert kind_of_motion("salsa dance") == "dance"
+    assert kind_of_motion("wash self") == "other"

@@ -17,7 +17,7 @@ from recon.formats.motions import save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.humos.corpus import BodyCorpus, BodyVariation
-from training.humos.losses import physics_losses, reconstruction
+from training.humos.losses import physics_losses, reconstruction_error
 from training.humos.train import HumosRun, HumosTraining, export_weights, train
 
 BODY = BodyModel.load()
@@ -66,7 +66,7 @@ def test_clips_of_the_part_and_licence_that_stand_on_the_ground(folder):
 
 def test_windows_are_what_was_recorded(folder):
     corpus = corpus_of(folder)
-    batch = corpus.every(60, 10, torch.Generator().manual_seed(0))
+    batch = corpus.all_windows(60, 10, torch.Generator().manual_seed(0))
     walk = a_walk(BODY, seconds=3.0, period=0.8, speed=0.8).resample(20.0)
     expected, _ = BodyFrames.of(walk, BODY)
     close = {"atol": 2e-3, "rtol": 0}
@@ -103,10 +103,10 @@ def test_losses_are_zero_for_what_was_recorded_and_grow_with_errors(folder):
     corpus = corpus_of(folder)
     batch = corpus.draw(2, 40, AS_RECORDED, torch.Generator().manual_seed(0))
     rows = batch.frames.pack()
-    assert float(reconstruction(rows, batch, BODY)) < 1e-5
+    assert float(reconstruction_error(rows, batch, BODY)) < 1e-5
     ahead = rows.clone()
     ahead[..., -3] += 0.02  # metres along x, all joints alike
-    found = float(reconstruction(ahead, batch, BODY))
+    found = float(reconstruction_error(ahead, batch, BODY))
     legs = (rows[0, -1, -2] - 0).isfinite()
     assert bool(legs)
     assert 0.5 / rows.shape[-1] < found < 2.0

@@ -12,7 +12,7 @@ from tests.training.test_humor import AS_RECORDED, corpus_of
 from tests.training.test_humor import folder as folder
 from training.humor.corpus import Corpus
 from training.look.seeing import CLEAR, SLOTS
-from training.look.train import LookRun, LookTraining, export_weights, seen_of
+from training.look.train import LookRun, LookTraining, export_weights, points_seen
 from training.run import read_state
 
 EXACT = replace(CLEAR, noise=(1e-6, 1.1e-6))
@@ -25,7 +25,7 @@ def windows_of(folder: Path, frames: int = 40):
 
 def test_clear_joints_are_the_true_ones(folder: Path) -> None:
     corpus, windows = windows_of(folder)
-    seen = seen_of(windows, EXACT, corpus.body, torch.Generator().manual_seed(0))
+    seen = points_seen(windows, EXACT, corpus.body, torch.Generator().manual_seed(0))
     assert seen.positions.shape == (8, 40, SLOTS, 3)
     assert seen.visible[:, :, :22].all()
     assert not seen.visible[:, :, 22:].any()
@@ -36,7 +36,7 @@ def test_clear_joints_are_the_true_ones(folder: Path) -> None:
 def test_points_on_the_skin_move_with_their_bones(folder: Path) -> None:
     corpus, windows = windows_of(folder)
     skin = replace(EXACT, as_joints=0.0)
-    seen = seen_of(windows, skin, corpus.body, torch.Generator().manual_seed(0))
+    seen = points_seen(windows, skin, corpus.body, torch.Generator().manual_seed(0))
     rotations = torch.cat((windows.states.root[..., None, :, :], windows.states.pose), -3)
     turns, _ = forward_kinematics(rotations, windows.rest)
     for window in range(8):
@@ -51,7 +51,7 @@ def test_points_on_the_skin_move_with_their_bones(folder: Path) -> None:
 def test_each_kind_hides_something_and_leaves_something(folder: Path, kind: str) -> None:
     corpus, windows = windows_of(folder)
     seeing = replace(CLEAR, **{kind: 1.0})
-    seen = seen_of(windows, seeing, corpus.body, torch.Generator().manual_seed(3))
+    seen = points_seen(windows, seeing, corpus.body, torch.Generator().manual_seed(3))
     share = float(seen.visible[:, :, :22].float().mean())
     assert 0.05 < share < 0.98
 

@@ -20,8 +20,8 @@ from training.humor.legs import (
     ANKLES,
     LegTargets,
     legs_reaching,
-    may_raise,
-    may_step,
+    may_raise_leg,
+    may_step_aside,
     smallest_rotation,
     with_leg_raised,
     with_pelvis_moved,
@@ -32,7 +32,7 @@ from training.humor.train import HumorTraining
 from training.humor.variation import (
     GRAVITY,
     UPPER,
-    clear_of_trunk,
+    arms_clear_of_trunk,
     with_flight,
     with_upper_body_of,
 )
@@ -194,9 +194,9 @@ def test_one_leg_is_raised_and_the_other_one_stands() -> None:
     assert not loose.all(-1).any()
     # without a foot that stands all the time there is nothing to stand on
     lifted = old.derived(contacts=old.contacts & False)
-    assert not may_raise(lifted).any()
-    assert may_raise(old).all()
-    assert may_step(old).all()
+    assert not may_raise_leg(lifted).any()
+    assert may_raise_leg(old).all()
+    assert may_step_aside(old).all()
 
 
 def test_bodies_in_the_air_fall_as_gravity_says() -> None:
@@ -240,8 +240,8 @@ def test_arms_do_not_reach_into_the_trunk() -> None:
     old = standing()
     inside = old.rotations.clone()
     inside[:, :, 18] = so3.exp(torch.tensor([0.0, 0.0, -1.9]))
-    assert not clear_of_trunk(old, old.derived(rotations=inside)).any()
-    assert clear_of_trunk(old, old).all()
+    assert not arms_clear_of_trunk(old, old.derived(rotations=inside)).any()
+    assert arms_clear_of_trunk(old, old).all()
 
 
 @pytest.fixture(scope="module")

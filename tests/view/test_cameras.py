@@ -19,8 +19,8 @@ from recon.view import Figure, Show, View
 from recon.view.files import view
 from recon.view.frames import write_mp4, write_png
 from recon.view.html import write_html
-from recon.view.images import clip_region, close_ups, paint_view, whole_image
-from recon.view.observed import observed
+from recon.view.images import clip_region, close_up_regions, paint_view, whole_image
+from recon.view.observed import read_observed
 from recon.view.painter import frustum, paint
 from recon.view.scene import CAMERA, MISSING, REPROJECTED, VISIBLE
 from recon.view.viewpoint import viewpoints
@@ -102,7 +102,7 @@ def test_regions_hold_the_people(body: BodyModel) -> None:
     inside = part.place(surface.reshape(-1, 2), 100)
     assert (inside >= 0).all()
     assert (inside <= part.size(100)).all()
-    squares = close_ups(show, view, [0, 15, 29])
+    squares = close_up_regions(show, view, [0, 15, 29])
     assert len({square.width for square in squares}) == 1
     for frame, square in zip([0, 15, 29], squares, strict=True):
         inside = square.place(surface[frame], 100)
@@ -235,7 +235,7 @@ def test_files_of_images_become_views(tmp_path: Path) -> None:
         file = KeypointsFile(pixels, ones, "coco17", motion.fps, arrays(posed))
         save_observation(tmp_path / f"{name}.npz", file)
     for file, name in (("fit.npz", "posed.npz"), ("own.npz", "unposed.npz")):
-        _, _, (seen,) = observed([tmp_path / name], load_motion(tmp_path / file), body)
+        _, _, (seen,) = read_observed([tmp_path / name], load_motion(tmp_path / file), body)
         assert seen.median_error == pytest.approx(0.0, abs=0.01)  # pixels
     with pytest.raises(ValueError, match=r"unposed\.npz: the camera has no pose"):
         view(tmp_path / "fit.npz", obs=(tmp_path / "unposed.npz",), png=tmp_path / "a.png")
@@ -255,11 +255,13 @@ def test_files_of_clouds_come_into_the_world(tmp_path: Path) -> None:
     local = PointsFile(camera().to_camera(points).numpy(), frame, motion.fps, arrays(posed=False))
     for name, cloud in (("posed", posed), ("local", local)):
         save_observation(tmp_path / f"{name}.npz", cloud)
-        _, seen, (one,) = observed([tmp_path / f"{name}.npz"], file, BodyModel.load())
+        _, seen, (one,) = read_observed([tmp_path / f"{name}.npz"], file, BodyModel.load())
         assert seen is not None
         assert [len(part) for part in seen] == [4, 0, 3, 0]
         assert (seen[2] - points[[0, 3, 4]]).abs().max() < 1e-5  # metres
         assert (one.at(0).T_camera_world - camera().T_camera_world).abs().max() < 1e-5
-    _, both, _ = observed([tmp_path / "posed.npz", tmp_path / "local.npz"], file, BodyModel.load())
+    _, both, _ = read_observed(
+        [tmp_path / "posed.npz", tmp_path / "local.npz"], file, BodyModel.load()
+    )
     assert both is not None
     assert [len(part) for part in both] == [8, 0, 6, 0]

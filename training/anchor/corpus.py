@@ -113,7 +113,7 @@ class CycleCorpus(TensorStruct):
             clips=tuple(clips),
         )
 
-    def every(self) -> CycleBatch:
+    def all_cycles(self) -> CycleBatch:
         """Return all cycles as recorded, without augmentation."""
         rows = torch.arange(len(self.duration))
         return self._cut_cycles(rows, torch.zeros_like(rows), self.shape)
@@ -168,15 +168,15 @@ class CycleCorpus(TensorStruct):
         share = torch.rand(count, generator=random)
         share = share * (torch.rand(count, generator=random) < variation.mix)
 
-        def mixed(own: Tensor, other: Tensor) -> Tensor:
+        def mixed_with(own: Tensor, other: Tensor) -> Tensor:
             return own.lerp(other, share.reshape(-1, *(1,) * (own.ndim - 1)))
 
         height = anchors.translation[..., 2:]
-        place = mixed(anchors.translation[..., :2], anchors.translation[partner][..., :2])
+        place = mixed_with(anchors.translation[..., :2], anchors.translation[partner][..., :2])
         return Anchors(
-            rotations=so3.from_6d(mixed(columns, columns[partner])),
+            rotations=so3.from_6d(mixed_with(columns, columns[partner])),
             translation=torch.cat((place, height), -1),
-            times=mixed(anchors.times, anchors.times[partner]),
+            times=mixed_with(anchors.times, anchors.times[partner]),
         )
 
 

@@ -44,7 +44,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 OTHER = "other"
 
 
-def kind_of(description: str) -> str:
+def kind_of_motion(description: str) -> str:
     """Classify a recording's kind of motion by words of its description."""
     text = description.lower()
     for kind, words in KINDS.items():
@@ -129,9 +129,9 @@ class Corpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found = [
-            (name, kind_of(described_action(path)), _at_rate(piece))
+            (name, kind_of_motion(described_action(path)), _at_corpus_rate(piece))
             for name, path, stretch in settings.stretches_that_teach(part, lesson)
-            for piece in _between_jumps(stretch)
+            for piece in _split_at_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
@@ -207,7 +207,7 @@ class Corpus(TensorStruct):
         moments = with_random_edits(moments, variation, random)
         return _states_at_frames(moments, self.trusted[clip])
 
-    def every(self, frames: int) -> StateWindows:
+    def all_windows(self, frames: int) -> StateWindows:
         """Return consecutive windows of all clips, as recorded, without augmentation."""
         clip: list[int] = []
         first: list[int] = []
@@ -336,7 +336,7 @@ def _balanced_chances(
     return chance / together[group].clamp(min=1e-9) ** share
 
 
-def _between_jumps(clip: MotionFile) -> list[MotionFile]:
+def _split_at_jumps(clip: MotionFile) -> list[MotionFile]:
     """Split a clip, with its contacts, at implausible jumps between frames."""
     motion, contacts = clip.motion, clip.contacts
     turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5
@@ -363,7 +363,7 @@ def _contact_labels(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
     return clip.contacts[:, list(CONTACT_JOINTS)] > 0.5
 
 
-def _at_rate(clip: MotionFile) -> MotionFile:
+def _at_corpus_rate(clip: MotionFile) -> MotionFile:
     """Resample a clip to `RATE` by cubic splines; contact labels are the nearest in time."""
     motion = clip.motion
     if motion.fps == RATE:

@@ -12,10 +12,10 @@ from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from training.humor.moments import (
     CHANNELS,
-    Chance,
     Moments,
+    RandomDraws,
     at_frames,
-    forward_of,
+    forward_directions,
     is_plausible,
     minimum_jerk,
     speeds,
@@ -142,15 +142,15 @@ def with_pelvis_moved(
 
     Both feet stay exactly where they were, in contact or not, and so do their labels.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
-    ahead = forward_of(root)
+    ahead = forward_directions(root)
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     up = ahead.new_tensor([0.0, 0.0, 1.0])
 
     depth = chance.log_uniform(*_DEPTH)
-    lowered = 0.3 + 0.7 * chance.wave(moments.seconds, *_BEND_PERIODS)
+    lowered = 0.3 + 0.7 * chance.waves(moments.seconds, *_BEND_PERIODS)
     stoop = (chance.uniform(0.0, _STOOP / _DEPTH[1]) * depth)[:, None] * lowered
     turn = chance.uniform(-_TURN, _TURN)[:, None] * _varying_factor(chance, moments)
     roll = chance.uniform(-_ROLL, _ROLL)[:, None] * _varying_factor(chance, moments)
@@ -167,9 +167,9 @@ def with_pelvis_moved(
     return made, reached.all(1) & is_plausible(moments, made)
 
 
-def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
+def _varying_factor(chance: RandomDraws, moments: Moments) -> Tensor:
     """Random factors between 0.5 and 1 that vary smoothly over the times of a window."""
-    return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
+    return 0.5 + 0.5 * chance.waves(moments.seconds, *_BEND_PERIODS)
 
 
 _HIGHEST = math.radians(100)
@@ -197,7 +197,7 @@ _SIDES = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toes, left and right."""
 
 
-def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_raise_leg(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows in which one foot always stands and neither hands nor knees carry weight."""
     stands = _foot_stands(moments, 0) | _foot_stands(moments, 1)
     return stands & ~moments.ever_in_contact(0, *_HANDS, 4, 5)
@@ -211,15 +211,15 @@ def with_leg_raised(
     The other foot stands on the ground all the time, and stays exactly where it is. The pelvis
     goes the other way by as much as keeps the centre of mass in its place.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     either = chance.uniform(0.0, 1.0) < 0.5
     right = torch.where(_foot_stands(moments, 0), either | ~_foot_stands(moments, 1), False)
     orientations, joints = posed = moments.posed()
-    ahead = forward_of(orientations[:, :, 0])
+    ahead = forward_directions(orientations[:, :, 0])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     side = torch.where(right, -1.0, 1.0)[:, None]
 
-    wave = chance.wave(moments.seconds, *_RAISE_PERIODS)
+    wave = chance.waves(moments.seconds, *_RAISE_PERIODS)
     direction = chance.uniform(*_DIRECTIONS)[:, None]
     behind = ((direction - 0.5 * math.pi) / (_DIRECTIONS[1] - 0.5 * math.pi)).clamp(min=0)
     height = chance.uniform(0.1 * _HIGHEST, _HIGHEST)[:, None] * wave
@@ -259,7 +259,7 @@ def with_leg_raised(
     own_feet = torch.where(right[:, None, None, None], lifted[1], lifted[0])
     above = (own_feet[..., 2] > -_TOUCH).flatten(1).all(1)
     reached = torch.where(right, reached[:, 0], reached[:, 1])
-    made = made.derived(contacts=moments.contacts & ~_labels_lost(moments, feet, right))
+    made = made.derived(contacts=moments.contacts & ~_contacts_lost(moments, feet, right))
     return made, reached & above & is_plausible(moments, made)
 
 
@@ -268,7 +268,7 @@ def _foot_stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
     return (ankle | toe).all(1)
 
 
-def _labels_lost(
+def _contacts_lost(
     moments: Moments, change: Tensor, right: Tensor
 ) -> Bool[Tensor, "windows frames 9"]:
     """Mask of contact labels that are removed because the leg is raised."""
@@ -295,7 +295,7 @@ _APART = 0.07
 """Metres sideways that feet keep from each other; they do not cross."""
 
 
-def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_step_aside(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows in which both feet always stand on the ground, and nothing else does."""
     return moments.always_in_contact(*FEET) & ~moments.ever_in_contact(0, 4, 5, *_HANDS)
 
@@ -308,11 +308,11 @@ def with_step_added(
     The foot that steps loses its contacts while it is in the air, the other one stays exactly
     where it is, and the pelvis goes half of the way.
     """
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     right = chance.uniform(0.0, 1.0) < 0.5
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
-    ahead = forward_of(root[:, :1])
+    ahead = forward_directions(root[:, :1])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
 
     lasts = chance.uniform(*_LASTS)

@@ -60,13 +60,13 @@ def with_edited(
     """Replace the windows `rows` by their edited versions, where the edit was accepted."""
     kept = rows[accepted]
 
-    def exchanged(old: Tensor, new: Tensor) -> Tensor:
+    def with_new_rows(old: Tensor, new: Tensor) -> Tensor:
         return old.index_put((kept,), new[accepted])
 
     return moments.derived(
-        translation=exchanged(moments.translation, edited.translation),
-        rotations=exchanged(moments.rotations, edited.rotations),
-        contacts=exchanged(moments.contacts, edited.contacts),
+        translation=with_new_rows(moments.translation, edited.translation),
+        rotations=with_new_rows(moments.rotations, edited.rotations),
+        contacts=with_new_rows(moments.contacts, edited.contacts),
     )
 
 
@@ -83,7 +83,7 @@ def speeds(
     return ((places[:, 2::PER_FRAME] - places[:, ::PER_FRAME]) / span).norm(dim=-1)
 
 
-def forward_of(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
+def forward_directions(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
     """Horizontal unit vectors in which bodies face: from their left side, turned by 90 degrees."""
     left = roots[..., 0]
     ahead = torch.stack((left[..., 1], -left[..., 0], torch.zeros_like(left[..., 0])), -1)
@@ -153,10 +153,10 @@ def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     inside = (after > torch.minimum(low, before) - _SLACK) & (
         after < torch.maximum(high, before) + _SLACK
     )
-    return inside.flatten(1).all(1) & above_ground(old, new)
+    return inside.flatten(1).all(1) & stays_above_ground(old, new)
 
 
-def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
+def stays_above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows whose joints keep their least height above z = 0, or the recorded one."""
     before, after = (_joints_at_frames(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]
@@ -170,7 +170,7 @@ def _joints_at_frames(moments: Moments) -> Float[Tensor, "windows frames 22 3"]:
 
 
 @dataclass(frozen=True)
-class Chance:
+class RandomDraws:
     """Draws random numbers for each window of a batch, on the windows' device."""
 
     random: torch.Generator
@@ -192,7 +192,7 @@ class Chance:
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return torch.where(drawn < 0.5, -1.0, 1.0)
 
-    def wave(
+    def waves(
         self, seconds: Float[Tensor, "windows times"], shortest: float, longest: float
     ) -> Float[Tensor, "windows times"]:
         """Raised cosines between zero and one, of random period (seconds) and phase."""

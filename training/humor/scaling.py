@@ -38,7 +38,7 @@ class Scaling(TensorStruct):
     """Standard deviation of the decoder's outputs; one for contact logits."""
 
     @classmethod
-    def none(cls) -> "Scaling":
+    def identity(cls) -> "Scaling":
         """Return the scaling that changes nothing: means of zero, deviations of one."""
         zero, one = torch.zeros(STATE), torch.ones(STATE)
         return cls(zero, one, zero, one, torch.zeros(RAW), torch.ones(RAW))
@@ -53,15 +53,15 @@ class Scaling(TensorStruct):
         x, change = before.pack(), after.pack() - before.pack()
         raw = step_between(before, after)
 
-        def spread(values: Tensor, least: float) -> tuple[Tensor, Tensor]:
+        def mean_and_deviation(values: Tensor, least: float) -> tuple[Tensor, Tensor]:
             rows = values.flatten(0, 1)
             return rows.mean(0), rows.std(0).clamp(min=least)
 
         contacts = raw.new_zeros(RAW - raw.shape[-1])
-        raw_mean, raw_spread = spread(raw, _LEAST_STEP)
+        raw_mean, raw_spread = mean_and_deviation(raw, _LEAST_STEP)
         return cls(
-            *spread(x, _LEAST),
-            *spread(change, _LEAST_STEP),
+            *mean_and_deviation(x, _LEAST),
+            *mean_and_deviation(change, _LEAST_STEP),
             torch.cat((raw_mean, contacts)),
             torch.cat((raw_spread, contacts + 1)),
         )
@@ -89,7 +89,7 @@ class ScaledNetworks(nn.Module):
             self.register_buffer(name, tensor.clone())
 
     @classmethod
-    def around(
+    def wrapping(
         cls, plain: HumorNetworks, scaling: Scaling, noise: float = 0.0
     ) -> "ScaledNetworks":
         """Wrap plain networks so that they compute the same functions with normalised numbers."""
@@ -106,7 +106,7 @@ class ScaledNetworks(nn.Module):
             self.state_mean, self.state, self.change_mean, self.change, self.raw_mean, self.raw
         )
 
-    def plain(self) -> HumorNetworks:
+    def unscaled_networks(self) -> HumorNetworks:
         """Plain `HumorNetworks` of the same functions, with the scales folded into layers."""
         made = ScaledNetworks(HumorNetworks(self.core.width), self.scaling.to(device="cpu"))
         made.load_state_dict(self.state_dict())

@@ -55,7 +55,7 @@ def main(
     drawn = drawn_windows(clips, steps, seed)
     roots = {
         name: half_precision_root(matrix)
-        for name, matrix in curvature(Humor.load(), drawn).items()
+        for name, matrix in step_curvatures(Humor.load(), drawn).items()
     }
     made_of = {kind: file_checksum(weights_path("open", kind)) for kind in ("humor", "pose")}
     about = {"data": "open", "steps": steps, "seed": seed, "made_of": made_of}
@@ -78,7 +78,7 @@ def drawn_windows(clips: list[Motion], count: int, seed: int) -> Motion:
     return stack(found)
 
 
-def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers numbers"]]:
+def step_curvatures(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers numbers"]]:
     """Mean of JᵀJ for the middle steps of windows, in the heading of the frame before each."""
     exact = humor.to(dtype=torch.float64)
     motion = motion.to(dtype=torch.float64)
@@ -96,7 +96,7 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
     error, latents = (torch.stack(part, 1) for part in zip(*columns, strict=True))
     turn = so3.undo_heading(motion.rotations[:, 1, 0])
     return {
-        name: _mean_product(_in_heading(jacobian, turn))
+        name: _mean_jtj(_jacobian_in_heading(jacobian, turn))
         for name, jacobian in (("error", error), ("latents", latents))
     }
 
@@ -139,7 +139,7 @@ def _residuals_of_middle_step(
     return error, torch.cat((away, ratio), -1)[:, 0]
 
 
-def _in_heading(
+def _jacobian_in_heading(
     jacobian: Float[Tensor, "windows numbers rows"], turn: Float[Tensor, "windows 3 3"]
 ) -> Float[Tensor, "windows numbers rows"]:
     turned = jacobian.clone()
@@ -149,7 +149,7 @@ def _in_heading(
     return turned
 
 
-def _mean_product(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
+def _mean_jtj(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
     flat = jacobian.transpose(0, 1).flatten(1)
     return flat @ flat.mT / len(jacobian)
 

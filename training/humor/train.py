@@ -23,7 +23,7 @@ from priors.humor.prior import networks_from, read_weights
 from priors.humor.state import (
     State,
     canonical_state,
-    distinct_features,
+    independent_features,
     initial_features,
     rest_pelvis,
 )
@@ -86,13 +86,13 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
 
     def __init__(self, settings: HumorTraining, learned: Corpus, held_out: Corpus) -> None:
         self.learned = learned.to(device=settings.device)
-        self.checked = held_out.to(device=settings.device).every(settings.frames)
+        self.checked = held_out.to(device=settings.device).all_windows(settings.frames)
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
         """Make untrained networks (or load those to start from), scaled by augmented windows."""
         settings = self.settings
-        scaling = Scaling.none()
+        scaling = Scaling.identity()
         if state is None:
             windows = self.learned.draw(_SCALED_BY, 2, settings.variation, self.random)
             scaling = Scaling.of(windows.states, rest_pelvis(windows.states[:, 0]))
@@ -100,7 +100,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         if settings.start is None:
             return ScaledNetworks(core, scaling, settings.noise)
         learned = networks_from(read_weights(settings.start)).to(settings.device)
-        return ScaledNetworks.around(learned, scaling, settings.noise)
+        return ScaledNetworks.wrapping(learned, scaling, settings.noise)
 
     def losses(self) -> dict[str, Tensor]:
         """Losses of a random batch of windows, with the weights of the run's present step."""
@@ -179,9 +179,9 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
         FileNotFoundError: when the run has not validated yet, or there is no corpus.
     """
     found = trained_state(settings.out / BEST)
-    scaled = ScaledNetworks(HumorNetworks(settings.width), Scaling.none())
+    scaled = ScaledNetworks(HumorNetworks(settings.width), Scaling.identity())
     scaled.load_state_dict(found["averaged"])
-    networks = scaled.plain()
+    networks = scaled.unscaled_networks()
 
     learned = Corpus.load(settings, "train", BodyModel.load())
     random = torch.Generator().manual_seed(settings.seed)
@@ -190,7 +190,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     # initial states come from unedited windows only: edited ones float or stand on one leg
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical_state(states, rest_pelvis(states)))
-    initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
+    initial = fitted_mixture(features, independent_features(), seed=settings.seed)
 
     about = settings_to_store(settings) | {"step": found["step"]}
     save_humor(path, networks, initial, whitening, about)

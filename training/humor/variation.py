@@ -10,18 +10,18 @@ from torch import Tensor
 from recon.core import rotations as so3
 from training.humor.legs import (
     may_move_pelvis,
-    may_raise,
-    may_step,
+    may_raise_leg,
+    may_step_aside,
     with_leg_raised,
     with_pelvis_moved,
     with_step_added,
 )
 from training.humor.moments import (
-    Chance,
     Moments,
-    above_ground,
+    RandomDraws,
     bone_directions,
     is_plausible,
+    stays_above_ground,
     with_edited,
 )
 
@@ -94,16 +94,16 @@ def with_arms_moved(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Change the arms of windows at random; return them, and a mask of plausible results."""
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     rotations = moments.rotations.clone()
     for shoulder, elbow, side in ((16, 18, 1.0), (17, 19, -1.0)):
         axis = torch.randn(len(rotations), 3, generator=random).to(rotations)
         axis = axis / axis.norm(dim=-1, keepdim=True)
-        wave = 2 * chance.wave(moments.seconds, *_ARM_PERIODS) - chance.uniform(0.0, 1.0)[:, None]
+        wave = 2 * chance.waves(moments.seconds, *_ARM_PERIODS) - chance.uniform(0.0, 1.0)[:, None]
         angle = chance.uniform(0.0, 0.5 * _SHOULDER)[:, None] * wave
         turn = so3.exp(angle[..., None] * axis[:, None])
         bend = chance.uniform(-_ELBOW, _ELBOW)[:, None]
-        bend = bend * (0.5 + 0.5 * chance.wave(moments.seconds, *_ARM_PERIODS))
+        bend = bend * (0.5 + 0.5 * chance.waves(moments.seconds, *_ARM_PERIODS))
         flat = torch.zeros_like(bend)
         rotations[:, :, shoulder] = turn @ rotations[:, :, shoulder]
         hinge = so3.exp(torch.stack((flat, -side * bend, flat), -1))
@@ -111,12 +111,12 @@ def with_arms_moved(
     made = moments.derived(rotations=rotations)
     upper = bone_directions(rotations, moments.rest, (16, 17), (18, 19))
     inside = (upper[..., 2] > _BEHIND) & (upper[..., 0] > _ACROSS)
-    return made, inside.flatten(1).all(1) & clear_of_trunk(moments, made) & is_plausible(
+    return made, inside.flatten(1).all(1) & arms_clear_of_trunk(moments, made) & is_plausible(
         moments, made
     )
 
 
-def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
+def arms_clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows whose elbows and wrists stay out of the trunk, or as near as recorded."""
     before, after = (_distances_from_trunk(m.posed()[1]) for m in (old, new))
     allowed = before.amin(1, keepdim=True).clamp(max=_TRUNK) - 1e-3
@@ -164,7 +164,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
     made = legs.derived(rotations=rotations)
     near = (differ.norm(dim=-1) < _FARTHEST).all(1)
     hands = legs.ever_in_contact(*_HANDS) | trunks.ever_in_contact(*_HANDS)
-    return made, near & ~hands & above_ground(legs, made)
+    return made, near & ~hands & stays_above_ground(legs, made)
 
 
 def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
@@ -187,7 +187,7 @@ window: beyond, recorded and added accelerations together are not gravity's."""
 _CARRIERS = (0, 4, 5, 20, 21)
 
 
-def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_jump(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of windows that may become flights: no hand, knee or pelvis carries, steady height."""
     rising = moments.translation[..., 2].diff(dim=1) / moments.seconds.diff(dim=1)
     steady = rising.amax(1) - rising.amin(1) < _STEADY
@@ -198,7 +198,7 @@ def with_flight(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Turn windows into jumps without contacts; return them, and a mask of plausible results."""
-    chance = Chance(random, moments.translation)
+    chance = RandomDraws(random, moments.translation)
     seconds = moments.seconds
     last = seconds[:, -1].clamp(min=0.1)
     apex = (0.1 + 0.8 * chance.uniform(0.0, 1.0)) * last
@@ -229,10 +229,10 @@ def with_flight(
 def with_random_edits(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
     """Edit legs and arms of windows at random; implausible edits are dropped."""
     legs = (
-        (may_raise, with_leg_raised, variation.raises),
-        (may_step, with_step_added, variation.sidesteps),
+        (may_raise_leg, with_leg_raised, variation.raises),
+        (may_step_aside, with_step_added, variation.sidesteps),
         (may_move_pelvis, with_pelvis_moved, variation.bends),
-        (may_fly, with_flight, variation.flights),
+        (may_jump, with_flight, variation.flights),
     )
     for group in (legs, ((may_move_arms, with_arms_moved, variation.arms),)):
         free = torch.ones_like(moments.rest[:, 0, 0], dtype=torch.bool)

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humos.frames import BodyFrames, existing_windows, turn_of
+from priors.humos.frames import BodyFrames, existing_windows, rotation_about_vertical
 from priors.humos.prior import FPS
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
@@ -100,7 +100,7 @@ class BodyCorpus(TensorStruct):
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
                 if clip.frames < _SHORTEST_S * FPS:
                     continue
-                frames, height = _frames_of(clip, body)
+                frames, height = _body_frames_of(clip, body)
                 legs = leg_length(body, clip.shape)
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
@@ -146,7 +146,7 @@ class BodyCorpus(TensorStruct):
         row = torch.arange(windows) + windows * mirror
         return batch.replace(frames=both[row], shape=shape, other=other)
 
-    def every(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
+    def all_windows(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
         """Return up to `most` windows as recorded, with random other shapes to transfer to."""
         rows = [
             (clip, first)
@@ -171,7 +171,7 @@ class BodyCorpus(TensorStruct):
 
 def relative_to_first_frame(frames: BodyFrames) -> BodyFrames:
     """Return frames whose directions and places are relative to the first frame's."""
-    back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
+    back = rotation_about_vertical(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(
         direction=(frames.direction[..., None, :] @ back)[..., 0, :],
@@ -189,7 +189,7 @@ def mirrored(frames: BodyFrames) -> BodyFrames:
     )
 
 
-def _frames_of(clip: Motion, body: BodyModel) -> tuple[BodyFrames, Float[Tensor, " time"]]:
+def _body_frames_of(clip: Motion, body: BodyModel) -> tuple[BodyFrames, Float[Tensor, " time"]]:
     """Put a clip on the ground; return its frames and the height of its pelvis.
 
     It is lowered or lifted until its lowest point is under the ground in 5 % of its frames.

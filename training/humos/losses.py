@@ -34,7 +34,7 @@ class Codes:
     drawn: Float[Tensor, "clips memory latent"]
 
 
-def encoded(
+def encoded_motions(
     networks: WindowNetworks,
     rows: Float[Tensor, "clips time numbers"],
     shape: Float[Tensor, "clips shape"],
@@ -46,7 +46,7 @@ def encoded(
     return Codes(mean, log_variance, drawn_code(mean, log_variance, random))
 
 
-def reconstruction(
+def reconstruction_error(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel
 ) -> Float[Tensor, ""]:
     """½ mean |error|² / σ² of features, joints, and joints' displacements between frames.
@@ -78,7 +78,7 @@ def feature_error(
     )
 
 
-def divergence(codes: Codes, exists: Bool[Tensor, "clips windows"]) -> Float[Tensor, ""]:
+def code_divergence(codes: Codes, exists: Bool[Tensor, "clips windows"]) -> Float[Tensor, ""]:
     """Mean KL(q || N(0, 1)) per number of a code that exists, nats."""
     kl = divergence_from_normal(codes.mean, codes.log_variance)
     return _mean_over_valid(kl, exists[..., None])

@@ -15,12 +15,12 @@ from recon.body.model import BodyModel
 from training.humos.corpus import BodyBatch, BodyCorpus, BodyVariation
 from training.humos.losses import (
     clearance_error,
-    divergence,
-    encoded,
+    code_divergence,
+    encoded_motions,
     feature_error,
     mean_joint_distance_cm,
     physics_losses,
-    reconstruction,
+    reconstruction_error,
 )
 from training.run import CHECKPOINT, LOG, Run, logged_in_folder, trained_state
 from training.settings import TrainingSettings, settings_to_store
@@ -102,11 +102,11 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
     def __init__(self, settings: HumosTraining, learned: BodyCorpus, checked: BodyCorpus) -> None:
         self.learned = learned
         random = torch.Generator().manual_seed(0)
-        self.checked = checked.every(settings.frames, _HELD_OUT, random)
+        self.checked = checked.all_windows(settings.frames, _HELD_OUT, random)
         super().__init__(settings)
 
     @property
-    def parts(self) -> tuple[tuple[int, float], ...]:
+    def steps_and_rates(self) -> tuple[tuple[int, float], ...]:
         """Steps and learning rate of the run's two parts: auto-encoder, then transfer and back."""
         settings = self.settings
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
@@ -136,17 +136,19 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         frames = settings.frames
         batch = self.learned.draw(settings.clips, frames, settings.variation, self.random)
         exists = batch.windows
-        codes = encoded(networks, batch.frames.pack(), batch.shape, exists, self.random)
+        codes = encoded_motions(networks, batch.frames.pack(), batch.shape, exists, self.random)
         same = networks.decode(codes.drawn, batch.shape, exists, frames)
-        total = reconstruction(same, batch, body) + settings.kl * divergence(codes, exists)
+        total = reconstruction_error(same, batch, body) + settings.kl * code_divergence(
+            codes, exists
+        )
         if self.step < settings.warm_steps:
             return {"total": total}
         made = networks.decode(codes.drawn, batch.other, exists, frames)
-        again = encoded(networks, made, batch.other, exists, self.random)
+        again = encoded_motions(networks, made, batch.other, exists, self.random)
         back = networks.decode(again.drawn, batch.shape, exists, frames)
         apart = (codes.mean - again.mean).square().mean()
         total = total + feature_error(back, batch) + settings.same_code * apart
-        total = total + settings.kl * divergence(again, exists)
+        total = total + settings.kl * code_divergence(again, exists)
         room = frames - settings.physics_frames
         first = int(torch.randint(room + 1, (1,), generator=self.random))
         some = slice(first, first + settings.physics_frames)
@@ -159,15 +161,15 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         """Errors on held-out people, also after transfer and back; physics on other bodies."""
         networks, checked, body = self.averaged, self.checked, self.learned.body
         frames, exists = self.settings.frames, checked.windows
-        codes = encoded(networks, checked.frames.pack(), checked.shape, exists, None)
+        codes = encoded_motions(networks, checked.frames.pack(), checked.shape, exists, None)
         same = networks.decode(codes.mean, checked.shape, exists, frames)
         made = networks.decode(codes.mean, checked.other, exists, frames)
-        again = encoded(networks, made, checked.other, exists, None)
+        again = encoded_motions(networks, made, checked.other, exists, None)
         back = networks.decode(again.mean, checked.shape, exists, frames)
         physics = physics_losses(made, checked, body)
         here, there, ours = (BodyFrames.unpack(rows) for rows in (same, made, back))
         return {
-            "reconstruction": float(reconstruction(same, checked, body)),
+            "reconstruction": float(reconstruction_error(same, checked, body)),
             "joint_cm": mean_joint_distance_cm(here, checked.frames, checked, body),
             "cycle_joint_cm": mean_joint_distance_cm(ours, checked.frames, checked, body),
             "clearance_cm": clearance_error(same, checked),
@@ -176,7 +178,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
             "slide": float(physics.slide) * 1e4,
             "balance": float(physics.balance) * 1e4,
             "bounce": float(physics.bounce) * 1e4,
-            "kl": float(divergence(codes, exists)),
+            "kl": float(code_divergence(codes, exists)),
         }
 
 
@@ -234,7 +236,7 @@ def _density_of_codes(
     for _ in range(_DENSITY_DRAWS):
         batch = learned.draw(_DENSITY_WINDOWS, settings.frames, _SPREAD, random)
         exists = batch.windows
-        found = encoded(networks, batch.frames.pack(), batch.shape, exists, None)
+        found = encoded_motions(networks, batch.frames.pack(), batch.shape, exists, None)
         codes.append(found.mean[exists])
         variances.append(found.log_variance.exp()[exists])
         both = exists[:, 1:] & exists[:, :-1]

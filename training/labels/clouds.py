@@ -105,10 +105,10 @@ class CloudCorpus:
         share = torch.rand((), generator=random).item()
         rows = min(round(variation.fewest * math.exp(span * share)), POINTS)
         moment = torch.randint(moments, (count, 1), generator=random)
-        plain = self.take(chosen, min(2 * rows, POINTS), random, moment if lone else None)
-        return thinned(augmented(plain, variation, random), rows)
+        plain = self.windows(chosen, min(2 * rows, POINTS), random, moment if lone else None)
+        return at_most_points(augmented(plain, variation, random), rows)
 
-    def take(
+    def windows(
         self,
         windows: Int[Tensor, " windows"],
         rows: int,
@@ -166,7 +166,7 @@ def augmented(
     )
 
 
-def thinned(clouds: LabelledClouds, rows: int) -> LabelledClouds:
+def at_most_points(clouds: LabelledClouds, rows: int) -> LabelledClouds:
     """Keep at most `rows` points per frame of clouds; points that exist come first."""
     order = (~clouds.present).byte().argsort(dim=-1, stable=True)[..., :rows]
     wide = order[..., None].expand(*order.shape, 3)
@@ -192,7 +192,7 @@ def mirrored_where(which: Bool[Tensor, " windows"], clouds: LabelledClouds) -> L
     )
 
 
-def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
+def with_half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
     """Hide the points on one side of a random plane through the body's middle.
 
     The plane halves the points on the body of all moments of a window together.

@@ -23,7 +23,7 @@ of the noise, belongs to none."""
 
 
 @dataclass(frozen=True)
-class Glimpse:
+class LabelledPoints:
     """Points of one depth image of a person, and their true labels."""
 
     points: Float[np.ndarray, "points 3"]
@@ -93,14 +93,14 @@ def drawn_room(
     )
 
 
-def glimpse(
+def room_points(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     places: Float[np.ndarray, "vertices 3"],
     room: Room,
     left_over: str,
     random: np.random.Generator,
-) -> Glimpse:
+) -> LabelledPoints:
     """Simulate the points that a room's sensor measures of a person and of things nearby.
 
     Args:
@@ -126,7 +126,7 @@ def glimpse(
     kept = here == PixelSurface.BODY
     on = np.flatnonzero(body)
     if len(on) == 0:
-        return Glimpse(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return LabelledPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
     if left_over == "ball":
         centre = points[on[random.integers(len(on))]]
         near = np.linalg.norm(points - centre, axis=1) < random.uniform(0.15, 0.7)
@@ -145,16 +145,16 @@ def glimpse(
         others = random.permutation(others)[:most]
     kept = np.concatenate([on, others])
     shown = np.where(body[kept, None], seen[row[kept], column[kept]], 0.0)
-    return Glimpse(points[kept], shown, body[kept].astype(np.int64))
+    return LabelledPoints(points[kept], shown, body[kept].astype(np.int64))
 
 
-def all_around(
+def body_points(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     places: Float[np.ndarray, "vertices 3"],
     count: int,
     random: np.random.Generator,
-) -> Glimpse:
+) -> LabelledPoints:
     """Draw `count` points all over a person's surface, with noise and a few stray points."""
     drawn = sampled_on_surface(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
@@ -162,7 +162,7 @@ def all_around(
     on_body = (random.random(count) >= random.choice([0.0, 0.0, 0.03])).astype(np.int64)
     wild = random.uniform(vertices.min(0) - 0.1, vertices.max(0) + 0.1, (count, 3))
     points = np.where(on_body[:, None] > 0, points, wild)
-    return Glimpse(points, shown * on_body[:, None], on_body)
+    return LabelledPoints(points, shown * on_body[:, None], on_body)
 
 
 def _rendered_image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):

@@ -20,7 +20,7 @@ from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.simulation.scenery import Clothing, clothed, random_field
 from training.labels.clouds import POINTS, LabelledClouds
-from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
+from training.labels.rooms import LabelledPoints, body_points, drawn_room, room_points
 from training.run import LOG
 from training.settings import TrainingSettings
 
@@ -265,7 +265,7 @@ def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> La
 
 def draw_window(
     source: Source, random: np.random.Generator
-) -> tuple[list[Glimpse], Float[np.ndarray, "3"] | None]:
+) -> tuple[list[LabelledPoints], Float[np.ndarray, "3"] | None]:
     """Draw a person's visible points in a window, and the sensor's place (None: all sides)."""
     suit = source.bodies[int(random.integers(len(source.bodies)))]
     rotations = source.postures.draw(WINDOW, random)
@@ -283,7 +283,7 @@ def draw_window(
     vertices[..., 2] += lift - vertices[..., 2].min()
     faces, places = suit.faces.numpy(), source.body.template.double().numpy()
     if random.random() < 0.15:
-        return [all_around(row, faces, places, POINTS, random) for row in vertices], None
+        return [body_points(row, faces, places, POINTS, random) for row in vertices], None
     room = drawn_room(vertices, random)
     left_over = str(random.choice(_LEFT_OVER, p=[0.5, 0.2, 0.3]))
-    return [glimpse(row, faces, places, room, left_over, random) for row in vertices], room.eye
+    return [room_points(row, faces, places, room, left_over, random) for row in vertices], room.eye

@@ -10,7 +10,13 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from priors.labels.looking import in_network_frame, label_probabilities
-from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
+from priors.labels.networks import (
+    STEPS,
+    LabelNetwork,
+    RawLabels,
+    SeenClouds,
+    direction_from_right_to_left,
+)
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
 from training.labels.clouds import (
@@ -18,7 +24,7 @@ from training.labels.clouds import (
     CloudVariation,
     LabelledClouds,
     augmented,
-    half_hidden,
+    with_half_hidden,
 )
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, logged_in_folder, trained_state
@@ -62,10 +68,10 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         self.learned = learned
         random = torch.Generator().manual_seed(0)
         windows = torch.arange(0, len(checked), max(1, len(checked) // _HELD_OUT))[:_HELD_OUT]
-        whole = checked.take(windows, _POINTS, None)
+        whole = checked.windows(windows, _POINTS, None)
         self.checked = {
             "": whole,
-            "half_": half_hidden(whole, random),
+            "half_": with_half_hidden(whole, random),
             "tilted_": augmented(whole, _TURNED_OVER, random),
         }
         super().__init__(settings)
@@ -190,7 +196,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
         for one, other in zip(*costs, strict=True)
     )
     stray = binary_cross_entropy_with_logits(raw.on_body[present], on_body[present].float())
-    truth = from_right_to_left(seen.points, place, on_body.to(place))[shown]
+    truth = direction_from_right_to_left(seen.points, place, on_body.to(place))[shown]
     missed = (raw.across[shown] - truth[:, None]).square().sum(-1)
     across = missed[:, 0].mean() + missed[:, 1:].mean()
     total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides + _ACROSS * across

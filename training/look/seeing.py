@@ -20,7 +20,7 @@ _LIMBS = tuple(
 
 
 @dataclass(frozen=True)
-class Seeing:
+class SensorSettings:
     """Settings of the simulated sensors; a share is the probability that a window is affected."""
 
     as_joints: float = 0.55
@@ -101,11 +101,11 @@ class Seeing:
         count, time = true.shape[:2]
         height = 0.3 + 0.9 * draw.uniform(count, 1, 1)
         always = draw.with_probability(0.6, count, 1)
-        low = (true[..., 2] < height) & (always | draw.spells(count, time, 0.3, 2.0))[..., None]
+        low = (true[..., 2] < height) & (always | draw.stretches(count, time, 0.3, 2.0))[..., None]
         hidden = low & draw.with_probability(self.below, count, 1, 1)
         for share, whole, usual in ((self.limbs, 0.0, 0.6), (self.gap, 0.3, 0.0)):
             own = self._points_of_random_limbs(draw, bone, whole)
-            when = draw.with_probability(usual, count, 1) | draw.spells(count, time, 0.2, 2.0)
+            when = draw.with_probability(usual, count, 1) | draw.stretches(count, time, 0.2, 2.0)
             hidden |= own[:, None] & when[..., None] & draw.with_probability(share, count, 1, 1)
         rate = (
             0.7
@@ -135,7 +135,7 @@ class Seeing:
         return joints.gather(1, bone) | draw.with_probability(whole, count, 1)
 
 
-CLEAR = Seeing(
+CLEAR = SensorSettings(
     as_joints=1.0, fewer=0.0, noise=(0.01, 0.0101), placed=0.0, below=0.0, limbs=0.0, gap=0.0,
     single_points=0.0, single_frames=0.0, outliers=0.0, shorter=0.0,
 )  # fmt: skip
@@ -161,7 +161,7 @@ class _RandomNumbers:
     def with_probability(self, share: float, *size: int) -> Tensor:
         return self.uniform(*size) < share
 
-    def spells(self, count: int, time: int, least: float, most: float) -> Tensor:
+    def stretches(self, count: int, time: int, least: float, most: float) -> Tensor:
         """Mask of frames at 30 Hz: one stretch of `least` to `most` seconds in every window."""
         length = 30 * (least + (most - least) * self.uniform(count, 1))
         first = (time + length) * self.uniform(count, 1) - length

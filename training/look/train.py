@@ -24,7 +24,7 @@ from priors.look.points import SeenPoints
 from recon.body.model import BodyModel, forward_kinematics
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.variation import Variation
-from training.look.seeing import CLEAR, Seeing
+from training.look.seeing import CLEAR, SensorSettings
 from training.run import BEST, LOG, Run, logged_in_folder, run_by_options, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
@@ -80,7 +80,7 @@ class LookTraining(TrainingSettings):
     losses: LookWeights = field(default_factory=LookWeights)
     variation: Variation = _VARIED
     """Random variations of the motions."""
-    seeing: Seeing = field(default_factory=Seeing)
+    seeing: SensorSettings = field(default_factory=SensorSettings)
     """What is seen of them."""
     device: str = "cpu"
 
@@ -95,7 +95,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 
     def __init__(self, settings: LookTraining, learned: Corpus, held_out: Corpus) -> None:
         self.learned = learned.to(device=settings.device)
-        self.checked = held_out.to(device=settings.device).every(min(60, settings.frames))
+        self.checked = held_out.to(device=settings.device).all_windows(min(60, settings.frames))
         self.drawn: StateWindows | None = None
         self.noise = torch.Generator(settings.device)
         super().__init__(settings)
@@ -124,7 +124,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         self.noise.manual_seed(settings.seed + self.step)
         first = place % _DRAWN_AT_ONCE * settings.windows
         windows = self.drawn[slice(first, first + settings.windows)]
-        seen = seen_of(windows, settings.seeing, body, self.noise)
+        seen = points_seen(windows, settings.seeing, body, self.noise)
         return losses_of(self.networks, seen, windows, body, settings.losses)
 
     @torch.no_grad()
@@ -133,8 +133,8 @@ class LookRun(Run[LookTraining, LookNetwork]):
         return validate(self.averaged, self.checked, self.learned.body)
 
 
-def seen_of(
-    windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
+def points_seen(
+    windows: StateWindows, seeing: SensorSettings, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
     """Simulate which points sensors see of windows of motion."""
     orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
@@ -201,11 +201,11 @@ def _contact_cross_entropy(found: Proposed, contacts: Tensor) -> Tensor:
     )
 
 
-_CHECKS: Mapping[str, Seeing] = {
+_CHECKS: Mapping[str, SensorSettings] = {
     "noisy": replace(CLEAR, noise=(0.03, 0.0301)),
     "below": replace(CLEAR, below=1.0),
     "gap": replace(CLEAR, gap=1.0),
-    "seen": Seeing(),
+    "seen": SensorSettings(),
 }
 """What is seen of held-out windows in each kind of check."""
 
@@ -224,7 +224,7 @@ def validate(network: LookNetwork, windows: StateWindows, body: BodyModel) -> di
         total = 0.0
         for first in range(0, len(windows.contacts), 128):
             own = windows[slice(first, first + 128)]
-            seen = seen_of(own, seeing, body, random)
+            seen = points_seen(own, seeing, body, random)
             found = network(seen, body)
             joints, target = found.joints(body), own.states.joints
             away = (joints - target[:, None]).norm(dim=-1).mean(-1)
