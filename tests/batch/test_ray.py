@@ -27,7 +27,7 @@ with_ray = pytest.mark.skipif(
 
 def test_without_ray_it_is_said_how_to_install_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ray", None)
-    (tmp_path / "clips.jsonl").write_text("")
+    (tmp_path / "clips.jsonl").write_text('{"id": "a", "observations": "a.npz"}')
     arguments = ["batch", str(tmp_path / "clips.jsonl"), "--out", str(tmp_path / "out")]
     assert run([*arguments, "--ray", "local"]) == BAD_INPUT
     assert "pip install 'motion-recon[ray]'" in capsys.readouterr().err

@@ -143,7 +143,7 @@ def test_simulate_takes_a_part_at_another_rate(clip, tmp_path, capsys):
         (("export", __file__), "--glb"),
         (("convert", "nowhere.c3d", "out.npz"), "nowhere.c3d"),
         (("batch", "nowhere.jsonl", "--out", "out"), "nowhere.jsonl"),
-        (("batch", EMPTY, "--out", "out", "--shard", "2"), "--shard"),
+        (("batch", EMPTY, "--out", "out"), "got no line"),
         (("simulate", __file__, "o.npz", "--kind", "joints3d", "--frames", "9:3"), "A:B"),
         (("simulate", __file__, "o", "--kind", "depth", "--during", 2, 1), "A < B"),
         (("sample", "--out", "a.npz", "--temperature", -1), "temperature: expected a number"),
@@ -154,6 +154,13 @@ def test_bad_input_is_exit_code_2_and_a_sentence(arguments, words, tmp_path, cap
     assert recon_(*arguments) == cli.BAD_INPUT
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) in ([], [tmp_path / "out"])
+
+
+def test_a_shard_is_one_of_several(tmp_path, capsys):
+    manifest = tmp_path / "clips.jsonl"
+    manifest.write_text('{"id": "a", "observations": "a.npz"}')
+    assert recon_("batch", manifest, "--out", tmp_path / "out", "--shard", "2") == cli.BAD_INPUT
+    assert "--shard" in capsys.readouterr().err
 
 
 def test_an_unknown_option_is_refused(capsys):
