@@ -27,7 +27,7 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, Method, trait_of
+from recon.fitting.methods import FitOptions, Method, prior_trait
 from recon.fitting.records import Clip
 from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
@@ -217,7 +217,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not trait_of(prior, "completes"):
+    if not prior_trait(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"

@@ -17,7 +17,7 @@ from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion, MotionFile
 from recon.core.plugins import PRIORS, registered_places
-from recon.fitting.methods import Method, checked_method, class_of, trait_of
+from recon.fitting.methods import Method, checked_method, prior_class, prior_trait
 from recon.method.priors import PriorLike, is_prior
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def checked_prior(given: Any, weights: str, method: Method | None = None) -> str
         ReconError: when the prior has no such method.
     """
     if isinstance(given, str):
-        class_of(given)
+        prior_class(given)
         checked_method(given, method)
         return given
     names = ", ".join(registered_places(PRIORS))
@@ -245,7 +245,7 @@ def checked_prior(given: Any, weights: str, method: Method | None = None) -> str
             f"weights: {weights!r} is for a prior that is given by its name ({names}), but a "
             "loaded prior was given; load it with these weights, and leave weights out"
         )
-    if isinstance(given, type) or not (is_prior(given) or trait_of(given, "completes")):
+    if isinstance(given, type) or not (is_prior(given) or prior_trait(given, "completes")):
         raise WeightsError(
             f"prior: expected {names}, 'package.module:Class', or a loaded recon.method.Prior, "
             f"got {given!r:.80}"

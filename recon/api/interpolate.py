@@ -19,11 +19,11 @@ from recon.core.motion import Motion
 from recon.fitting.interpolation import (
     curve_correlation,
     cycles_of,
-    foot_lift,
+    foot_above_other,
     interpolated_cycle,
     motion_of_cycle,
 )
-from recon.fitting.retargeting import flying_frames, settled_on_ground
+from recon.fitting.retargeting import airborne_frames, corrected_on_ground
 
 
 def interpolate(
@@ -87,7 +87,7 @@ def interpolate(
     ]
     mixed = interpolated_cycle(prior, parts[0], parts[1], share)
     made = motion_of_cycle(prior, mixed, given[0].motion.fps if rate is None else rate)
-    motion = settled_on_ground(made, made, flying_frames(made, model), model).detach()
+    motion = corrected_on_ground(made, made, airborne_frames(made, model), model).detach()
     durations = {
         "A": chosen[0].duration,
         "B": chosen[1].duration,
@@ -123,5 +123,5 @@ def _foot_lifts(
     body: BodyModel, motion: Motion, cycles: tuple[Cycle, ...]
 ) -> Float[Tensor, "cycles 100"]:
     return torch.stack(
-        [foot_lift(body.pose(cycle.of(motion, ANCHORS)).joints) for cycle in cycles]
+        [foot_above_other(body.pose(cycle.of(motion, ANCHORS)).joints) for cycle in cycles]
     )

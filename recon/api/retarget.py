@@ -227,7 +227,7 @@ def _retargeted(
     weights: str,
 ) -> Motion:
     if method == "physics":
-        return retargeting.by_physics(motion, shape, body)
+        return retargeting.retarget_by_physics(motion, shape, body)
     return retargeting.retarget(motion, shape, Humos.load(weights, body))
 
 

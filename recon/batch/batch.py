@@ -13,7 +13,7 @@ from recon.batch.clips import shared_shape
 from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
 from recon.cli.films import draw_film_sheets, films_given
-from recon.fitting.methods import trait_of
+from recon.fitting.methods import prior_trait
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, check_outputs, paths_in
 from recon.formats.replacing import file_checksum, value_checksum
@@ -123,7 +123,7 @@ def shapes_of_subjects(
     known = [clip for clip in clips if clip.subject is not None]
     if not known:
         return {}
-    if trait_of(settings.prior, "completes"):
+    if prior_trait(settings.prior, "completes"):
         raise ValueError(
             "subject: clips of one subject share a shape, but this prior finds one for each gait "
             "cycle; leave `subject` out of the manifest, or fit with another prior"

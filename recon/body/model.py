@@ -65,7 +65,7 @@ class BodyModel(TensorStruct):
         from recon.formats.smpl import load_smpl  # imported only when a file is given
 
         path = Path(path)
-        arrays = load_smpl(path).of_body()
+        arrays = load_smpl(path).body_model_arrays()
         return _model_from_arrays(path.stem, path.read_bytes(), arrays)
 
     @property

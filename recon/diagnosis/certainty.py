@@ -205,7 +205,7 @@ def alternatives(fit: ClipFit) -> tuple[AlternativeMotion, ...]:
     that of a likelier one, are left out.
     """
     body = fit.result.body.model
-    found = [one for compared in fit.compared for one in _rejected_hypotheses(compared, body)]
+    found = [one for compared in fit.comparisons for one in _rejected_hypotheses(compared, body)]
     return tuple(sorted(found, key=lambda one: one.excess))
 
 

@@ -237,17 +237,15 @@ class RateRange:
     """Descriptions of the tests that the bounds follow from."""
 
     @property
-    def has_declared(self) -> bool:
+    def holds_one(self) -> bool:
         """Whether the declared rate is within the range."""
         return self.low <= 1 <= self.high
 
     @property
     def likeliest(self) -> float:
         """Likeliest factor: 1 if in range, else a usual one in range, else the nearest bound."""
-        near = 1.0 if self.has_declared else self.high if self.high < 1 else self.low
-        inside = [
-            f for f in _USUAL_FACTORS if self.low <= f <= self.high and not self.has_declared
-        ]
+        near = 1.0 if self.holds_one else self.high if self.high < 1 else self.low
+        inside = [f for f in _USUAL_FACTORS if self.low <= f <= self.high and not self.holds_one]
         return min(inside, key=lambda factor: abs(math.log(factor)), default=near)
 
 
@@ -286,7 +284,7 @@ def rate_finding(
 ) -> Finding | None:
     """Return a warning that the frame rate is wrong by a factor; None if it is plausible."""
     found = rate_range(motion, body, observed)
-    if found is None or found.has_declared:
+    if found is None or found.holds_one:
         return None
     factor = found.likeliest
     way = "fast" if found.high < 1 else "slow"

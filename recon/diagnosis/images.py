@@ -16,7 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.diagnosis.findings import stretches
 from recon.diagnosis.quick_fit import QUICK_PACE, middle_seconds, quick_stages
-from recon.fitting.stages import keeping_distance
+from recon.fitting.stages import for_one_view
 from recon.method.pace import PACE, paced
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage
@@ -285,7 +285,7 @@ def _costs_of_quick_fits(
     noise = seen.noise(start, body)
 
     def stages(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return keeping_distance(quick_stages(noise.metres, data))
+        return for_one_view(quick_stages(noise.metres, data))
 
     found = solve([seen], stages, body, start=start, weights=weights_of((noise,)))
     return found.reports[-1].solution.value.double().numpy()

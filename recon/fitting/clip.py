@@ -19,15 +19,15 @@ from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
-    after_placement,
-    keeping_distance,
+    for_one_view,
+    from_first_pose_stage,
+    from_first_with_prior,
     prior_stages,
-    shape_found_once,
-    shape_held,
     with_relative_accelerations,
     with_scene,
+    with_shape_found_once,
+    with_shape_held,
     with_shape_terms,
-    without_root,
 )
 from recon.method.reconstruction import Reconstruction, solve
 from recon.method.sensor import Sensor, frame_is_level, views_of
@@ -121,16 +121,16 @@ class ClipProblem:
     def solved(self) -> ClipFit:
         """Fit the motion, and the ground where it is not known."""
         if self.options.grounded and all(one.ground_known for one in self.observations):
-            return self._in_own_frame(ground_known=True)
-        job = self._with_camera_scale()
+            return self._fit_in_recording_frame(ground_known=True)
+        job = self._with_camera_path_in_metres()
         if not self.options.grounded:
-            return job._in_own_frame(ground_known=False)
-        result = job._with_ground()
+            return job._fit_in_recording_frame(ground_known=False)
+        result = job._fit_with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
         return job._clip_fit(result, T, ground_known=False)
 
-    def _in_own_frame(self, *, ground_known: bool) -> ClipFit:
+    def _fit_in_recording_frame(self, *, ground_known: bool) -> ClipFit:
         """Fit in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
@@ -138,7 +138,7 @@ class ClipProblem:
 
             job, free = self.after_pose_prior()
             start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
-        result = job.fit(job.options, job.scene(start), start, job.moved)
+        result = job.fit(job.options, job.initial_scene(start), start, job.optimised_unknowns)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
 
@@ -149,16 +149,16 @@ class ClipProblem:
         residuals about this motion repeat from frame to frame: feet would follow them and slip.
         """
         start = self.guess.motion
-        first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
+        first = self.fit(self.pose_prior_options, self.initial_scene(start), start, frozenset())
         if not self.one_view or self.options.noise_of(0) is not None:
             return self, first.motion
-        from recon.fitting.first_motions import repetition_in_view  # imported only for images
+        from recon.fitting.first_motions import correlated_view_frames  # imported only for images
 
         (view,) = views_of(self.observations)
-        found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
+        found = correlated_view_frames(cast(Any, view), first.estimate, self.noises[0].own)
         return replace(self, repetition=found), first.motion
 
-    def _with_camera_scale(self) -> "ClipProblem":
+    def _with_camera_path_in_metres(self) -> "ClipProblem":
         """Scale the moving camera's path to metres, by the standing feet of a first motion."""
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
@@ -171,7 +171,7 @@ class ClipProblem:
         view, motion = found
         return replace(self, observations=(view,), guess=replace(self.guess, motion=motion))
 
-    def _with_ground(self) -> Reconstruction:
+    def _fit_with_ground(self) -> Reconstruction:
         """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported only when the ground is unknown
         from recon.fitting.ground import ground_by_feet, ground_by_posture, point_below_pelvis
@@ -182,34 +182,34 @@ class ClipProblem:
         else:
             job, start = self.after_pose_prior()
             ground = (ground_by_feet if level else ground_by_posture)(start, self.body)
-        moved = self.moved
+        moved = self.optimised_unknowns
         if self.options.knows_gravity:
             # where z is up only the height of the ground is unknown
             moved |= HEIGHT if level else GROUND
-        return job.fit(job.options, job.scene(start, ground), start, moved)
+        return job.fit(job.options, job.initial_scene(start, ground), start, moved)
 
     def _clip_fit(
-        self, result: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
+        self, reconstruction: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
     ) -> ClipFit:
         grounded = self.options.grounded
         return ClipFit(
-            result,
+            reconstruction,
             self.noises,
             ground_known,
             T,
-            self.settled(result),
+            self.with_fitted_scene(reconstruction),
             grounded=grounded,
             ground_seen=grounded and not ground_known and self.ground_seen,
         )
 
     @property
-    def long(self) -> bool:
+    def is_long(self) -> bool:
         """Whether the recording is fitted by windows, as it is longer than `LONG`."""
         motion = self.guess.motion
         return (motion.frames - 1) / motion.fps > LONG
 
     @property
-    def moved(self) -> frozenset[str]:
+    def optimised_unknowns(self) -> frozenset[str]:
         """Names of the scene's unknowns that are optimised, except the ground."""
         found = OFFSETS if self.offsets else frozenset()
         return found | LENS if self.lens_unknown else found
@@ -233,7 +233,7 @@ class ClipProblem:
         (view,) = views_of(self.observations)
         return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
-    def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
+    def initial_scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
         """Create the scene before a fit: zero keypoint offsets, a ground, a lens where unknown."""
         clips = len(start.translation)
         scene = Scene.create(clips, self.offsets, like=start.translation)
@@ -268,11 +268,11 @@ class ClipProblem:
         def stages_for(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
             stages = prior(data)
             if options.shape is not None:
-                stages = shape_held(stages)
+                stages = with_shape_held(stages)
             elif known is not None:
                 stages = with_shape_terms(stages, of_shape)
             elif self.one_view:
-                stages = shape_found_once(stages)
+                stages = with_shape_found_once(stages)
             if self.scale_unknown:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
@@ -284,10 +284,10 @@ class ClipProblem:
                 (view,) = views_of([cast(Any, data[0].energy)])
                 stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:
-                return after_placement(stages)
+                return from_first_with_prior(stages)
             if not self.guess.distance_known:
-                return keeping_distance(stages)
-            return without_root(stages) if self.guess.aligned else stages
+                return for_one_view(stages)
+            return from_first_pose_stage(stages) if self.guess.aligned else stages
 
         return stages_for
 
@@ -300,12 +300,12 @@ class ClipProblem:
         clips find the scene in their first seconds and keep it.
         """
         run = solve
-        if self.long:
+        if self.is_long:
             # imported only when a recording is long
             from recon.fitting.long import fit_long
 
             run = fit_long
-        if self.long and moved:
+        if self.is_long and moved:
             first = self.first_seconds()
             shorter = start.window(0, first.guess.motion.frames)
             scene, moved = first.fit(options, scene, shorter, moved).estimate.scene, frozenset()
@@ -322,7 +322,7 @@ class ClipProblem:
         seen = any(one.ground_seen for one in self.observations)
         return seen or self.options.ground_given
 
-    def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
+    def with_fitted_scene(self, result: Reconstruction) -> tuple[Sensor, ...]:
         """Return the observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.with_constants_of(scene) for one in self.observations)

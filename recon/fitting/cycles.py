@@ -43,7 +43,7 @@ def completion_rate(fps: float) -> float:
     return fps / math.ceil(fps / RATES[1] - 1e-6)
 
 
-def on_fast_clock(sensor: Sensor) -> Sensor:
+def at_least_30_hz(sensor: Sensor) -> Sensor:
     """Return the observation with a rate of 30 Hz or more; frames that are added have no data.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
@@ -59,7 +59,7 @@ def observations_in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     return tuple(one for one in observations if one.places is not None)
 
 
-def moments_per_second(observations: Sequence[Sensor]) -> float:
+def seen_moments_per_second(observations: Sequence[Sensor]) -> float:
     """Return the number of frames with data per second, over all sensors."""
     times = torch.cat([seen_times(one) for one in observations]).unique()
     if len(times) < 2:
@@ -78,7 +78,7 @@ HEADINGS = 8
 
 
 @dataclass(frozen=True)
-class CycleClock:
+class CycleFrames:
     """The frames (mask, rate, start time) at which gait cycles are decoded."""
 
     valid: Bool[Tensor, "clips time"]
@@ -86,7 +86,7 @@ class CycleClock:
     start_time: float
 
     @classmethod
-    def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
+    def of(cls, observations: Sequence[Sensor]) -> "CycleFrames":
         """Return a clock over all data, at a rate within `RATES` that suits the first observation.
 
         Raises:
@@ -123,7 +123,7 @@ def first_and_last_times(
 def typical_cycles(
     prior: CyclePrior[Any],
     observations: Sequence[Sensor],
-    clock: CycleClock,
+    frames: CycleFrames,
     shape: Float[Tensor, " shape"],
     offsets: int,
 ) -> Hypotheses[Any]:
@@ -132,7 +132,7 @@ def typical_cycles(
     Args:
         prior: prior of gait cycles.
         observations: sensors' data of the clips.
-        clock: frames of the cycles.
+        frames: frames of the cycles.
         shape: shape coefficients of the body.
         offsets: number of tracked points whose offset from the model is unknown.
     """
@@ -141,8 +141,8 @@ def typical_cycles(
     turns = so3.about_z(angles.to(typical))
     path = prior.paths(shape)
     variables: list[Any] = []
-    for clip, (seen, there) in enumerate(zip(*_centroid_path(observations, clock), strict=True)):
-        last = int(clock.valid[clip].sum()) - 1
+    for clip, (seen, there) in enumerate(zip(*_centroid_path(observations, frames), strict=True)):
+        last = int(frames.valid[clip].sum()) - 1
         place = torch.arange(len(seen)).clamp(max=last) / last * (path.shape[1] - 1)
         walked = path[:, place.round().long()]
         turned = walked[:, None] @ turns.mT
@@ -155,9 +155,9 @@ def typical_cycles(
                 typical.repeat_interleave(HEADINGS, 0),
                 shape.expand(count, -1),
                 T.flatten(0, 1),
-                clock.valid[clip].expand(count, -1),
-                clock.fps,
-                clock.start_time,
+                frames.valid[clip].expand(count, -1),
+                frames.fps,
+                frames.start_time,
             )
         )
     clip = torch.arange(len(variables)).repeat_interleave(len(variables[0].latent))
@@ -166,18 +166,18 @@ def typical_cycles(
 
 
 def _centroid_path(
-    observations: Sequence[Sensor], clock: CycleClock
+    observations: Sequence[Sensor], frames: CycleFrames
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
     """Return the centroid of the data at the clock's frames, and a mask of frames with data."""
-    clips, moments = clock.valid.shape
+    clips, moments = frames.valid.shape
     total = observations[0].values.new_zeros(clips, moments, 3)
     count = total.new_zeros(clips, moments, 1)
     for one in observations:
         present = one.shown
         middle = one.values.where(present[..., None], torch.nan).nanmedian(-2).values
         there = present.any(-1)
-        times = one.start_time - clock.start_time + torch.arange(there.shape[1]) / one.fps
-        frame = (times * clock.fps).round().long().clamp(0, moments - 1)
+        times = one.start_time - frames.start_time + torch.arange(there.shape[1]) / one.fps
+        frame = (times * frames.fps).round().long().clamp(0, moments - 1)
         total.index_add_(1, frame, middle.nan_to_num(0.0))
         count.index_add_(1, frame, there[..., None].to(count))
     return total / count.clamp(min=1), count[..., 0] > 0
@@ -242,7 +242,7 @@ def complete(
     seen, rows = _with_marker_offsets(tuple(o.with_at_most_points(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(o.cloud and int(o.cloud.present.sum(-1).max()) >= DENSE for o in seen)
-    return _CycleCompletion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(
+    return _CycleCompletion(seen, noises, prior, dense, CycleFrames.of(seen), rows).fitted_cycles(
         body, watch
     )
 
@@ -270,11 +270,11 @@ class _CycleCompletion:
     prior: CyclePrior[Any]
     dense: bool
     """Whether data are dense enough to show details that codes lack."""
-    clock: CycleClock
+    clock: CycleFrames
     offsets: int
     """Number of tracked points whose offset from the model is unknown."""
 
-    def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
+    def fitted_cycles(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """Fit cycles from many starts in stages, and return the best fit of every clip."""
         prior, noise = self.prior, self.noise
         # compare first guesses by every `step`-th frame only

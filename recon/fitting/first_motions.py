@@ -31,7 +31,7 @@ validation people."""
 _OUTLIER_STDS = 3.0
 
 
-def error_repetition(
+def correlated_frames(
     errors: Float[Tensor, "*batch time points dims"],
     visible: Bool[Tensor, "*batch time points"],
     noise: float,
@@ -74,12 +74,12 @@ def error_repetition(
     return min(1 + _REPETITION_GAIN * max(excess, 0.0), _MAX_REPETITION)
 
 
-def repetition_in_view(view: Keypoints2D, estimate: Estimate, noise: float) -> float:
-    """Return `error_repetition` of a view's residuals about a fitted motion; noise in pixels."""
+def correlated_view_frames(view: Keypoints2D, estimate: Estimate, noise: float) -> float:
+    """Return `correlated_frames` of a view's residuals about a fitted motion; noise in pixels."""
     with torch.no_grad():
-        left = view.residuals(estimate)
-    errors = left.values * left.weights[..., None]
-    return error_repetition(errors, left.seen, noise, REFERENCE_FPS / view.fps)
+        residuals = view.residuals(estimate)
+    errors = residuals.values * residuals.weights[..., None]
+    return correlated_frames(errors, residuals.seen, noise, REFERENCE_FPS / view.fps)
 
 
 def scaled_onto_ground(motion: Motion, view: Keypoints2D, body: BodyModel) -> Motion:

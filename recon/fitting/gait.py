@@ -14,7 +14,7 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.core.skeleton import JOINTS
-from recon.fitting.stages import shape_held
+from recon.fitting.stages import with_shape_held
 from recon.method.cycle_prior import CyclePrior
 from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import data_terms
@@ -41,15 +41,15 @@ class CompletedCycle:
     """Motion from the cycle's start to its end, without a batch axis."""
     energy: float
     """Energy of the data under the completed cycle: ½ Σ residual² / noise²."""
-    first: float
+    first_energy: float
     """Energy of the data under the first fit."""
     noise: float
     """Energy that noise alone would leave."""
 
     @property
-    def explains(self) -> bool:
+    def explains_data(self) -> bool:
         """Whether the cycle explains the data as well as the first fit, within the noise."""
-        return self.energy <= self.first + self.noise
+        return self.energy <= self.first_energy + self.noise
 
 
 def stretches_of_cycles(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
@@ -72,7 +72,7 @@ class CycleData:
     noises: Sequence[Noise]
     body: BodyModel
 
-    def completed(self, motion: Motion, cycle: Cycle) -> CompletedCycle | None:
+    def completed_cycle(self, motion: Motion, cycle: Cycle) -> CompletedCycle | None:
         """Fit one cycle, starting from the first fit and keeping its shape; None without data.
 
         Args:
@@ -94,7 +94,7 @@ class CycleData:
         part = cycle.of(motion, frames).replace(start_time=0.0).map(lambda tensor: tensor[None])
         scene = Scene.create(1, like=motion.translation)
         last = self.prior.coded(data, noise)[-1:]
-        estimate, _ = run_stages(shape_held(last), self.body, part, scene)
+        estimate, _ = run_stages(with_shape_held(last), self.body, part, scene)
         first = Estimate(Decoded(part), self.body.pose(part), scene)
         energies = [
             sum(float(term.weight * term.energy(one)) for term in data) / noise**2

@@ -72,8 +72,8 @@ def fit_hand(
     views: Sequence[HandView],
     model: HandModel,
     side: int,
-    wrist: Float[Tensor, "time 3 3"],
-    place: Float[Tensor, "time 3"],
+    wrist_rotation: Float[Tensor, "time 3 3"],
+    wrist_position: Float[Tensor, "time 3"],
     fps: float,
 ) -> FittedHand:
     """Fit angles, wrist and bone lengths of one hand to the points that all sensors saw.
@@ -82,14 +82,16 @@ def fit_hand(
         views: points by sensor, with the same frames as the wrist; at least one.
         model: model of the person's hands.
         side: 0 for the left hand, 1 for the right.
-        wrist: world rotation of the body's wrist.
-        place: world position (m) of the wrist.
+        wrist_rotation: world rotation of the body's wrist.
+        wrist_position: world position (m) of the wrist.
         fps: frames per second.
     """
     share = min(1.0, _POSES_PER_S / fps)
-    base = wrist.double() @ _common_turn(views, model, side, wrist.double())
-    problem = _Fingers(
-        tuple(views), model, side, base, place.double(), fps, _angle_precision() * share,
+    base = wrist_rotation.double() @ _mean_turn_to_palm(
+        views, model, side, wrist_rotation.double()
+    )
+    problem = _FingerProblem(
+        tuple(views), model, side, base, wrist_position.double(), fps, _angle_precision() * share,
         _TURN_STD * share**-0.5, _SHIFT_STD * share**-0.5,
     )  # fmt: skip
     x = torch.zeros(len(base) * _SIZE + _BONES, dtype=torch.float64)
@@ -136,22 +138,22 @@ def _angle_precision() -> Float[Tensor, "22 22"]:
     return torch.from_numpy(scaled.T @ scaled)
 
 
-def _common_turn(
+def _mean_turn_to_palm(
     views: Sequence[HandView], model: HandModel, side: int, wrist: Float[Tensor, "time 3 3"]
 ) -> Float[Tensor, "3 3"]:
     """Return the mean rotation from the body's wrist to the palm that points in space show."""
-    palm = [0, 5, 9, 13, 17]
+    palm_points = [0, 5, 9, 13, 17]
     total = torch.eye(3, dtype=torch.float64) * 1e-3
     bones = (model.directions[side] * model.lengths[side, :, None])[[4, 8, 12, 16]]
     flat = torch.cat((bones.new_zeros(1, 3), bones))
     for view in views:
         if view.camera is not None:
             continue
-        seen = (view.weights[:, palm] > 0).to(flat)
+        seen = (view.weights[:, palm_points] > 0).to(flat)
         there = seen.sum(-1) >= 3
         if not bool(there.any()):
             continue
-        seen, points = seen[there], view.values[there][:, palm].to(flat)
+        seen, points = seen[there], view.values[there][:, palm_points].to(flat)
         share = (seen / seen.sum(-1, keepdim=True))[..., None]
         a, b = flat - (share * flat).sum(-2, keepdim=True), points - (share * points).sum(-2, True)
         matched = (share * b).mT @ a
@@ -161,7 +163,7 @@ def _common_turn(
 
 
 @dataclass(frozen=True)
-class _Fingers(Problem[Tensor]):
+class _FingerProblem(Problem[Tensor]):
     """Least squares for one hand: 28 variables per frame, and logarithms of bone lengths."""
 
     views: tuple[HandView, ...]
@@ -187,8 +189,8 @@ class _Fingers(Problem[Tensor]):
             frames[:, _ANGLES], wrist, self.place, self.side, self.bone_lengths(lengths)
         )
 
-    def points(self, posed: PosedHand, away: Tensor) -> Float[Tensor, "time 21 3"]:
-        return torch.cat((self.place[:, None], posed.points), 1) + away[:, None]
+    def points(self, posed: PosedHand, offset: Tensor) -> Float[Tensor, "time 21 3"]:
+        return torch.cat((self.place[:, None], posed.points), 1) + offset[:, None]
 
     def jacobian(self, x: Tensor, posed: PosedHand) -> Float[Tensor, "time 21 3 48"]:
         """Differentiate the points by a frame's variables and by the logarithms of lengths."""
@@ -223,7 +225,7 @@ class _Fingers(Problem[Tensor]):
         slope[:, :_SIZE] += about
         hessian = Banded.zero(len(frames), 2, _SIZE, _BONES, frames)
         hessian.add_frames(torch.arange(len(frames)), curvature)
-        stiff = self._stiffness()
+        stiff = self._smoothness_weights()
         bands = frames.new_zeros(len(frames), 3, _SIZE)
         add_differences(bands, (1.0, -2.0, 1.0), stiff.expand(len(frames), _SIZE)[2:])
         eye = torch.eye(_SIZE).to(frames).expand(len(frames), _SIZE, _SIZE)
@@ -235,7 +237,7 @@ class _Fingers(Problem[Tensor]):
         gradient = torch.cat(
             (slope[:, :_SIZE].flatten(), slope[:, _SIZE:].sum(0) + precision @ lengths)
         )
-        return Quadratic(self._terms(x, posed)[None], gradient[None], [hessian])
+        return Quadratic(self._weighted_residuals(x, posed)[None], gradient[None], [hessian])
 
     def moved(self, x: Tensor, rows: Int[Tensor, " rows"], steps: Tensor) -> Tensor:
         del rows
@@ -243,7 +245,7 @@ class _Fingers(Problem[Tensor]):
 
     def value(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
         del rows
-        return self._terms(x, self.posed(x))[None]
+        return self._weighted_residuals(x, self.posed(x))[None]
 
     def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
         """Return the standard deviation (m) of each tip about the wrist in its worst direction."""
@@ -256,7 +258,7 @@ class _Fingers(Problem[Tensor]):
         spread = own @ inverse.within[:, None] @ own.mT + via @ inverse.border @ via.mT
         return torch.linalg.eigvalsh(spread)[..., -1].clamp(min=0).sqrt()
 
-    def _terms(self, x: Tensor, posed: PosedHand) -> Float[Tensor, " terms"]:
+    def _weighted_residuals(self, x: Tensor, posed: PosedHand) -> Float[Tensor, " terms"]:
         frames, lengths = self.split_variables(x)
         points = self.points(posed, frames[:, _SHIFT])
         data = points.new_zeros(())
@@ -269,7 +271,7 @@ class _Fingers(Problem[Tensor]):
         wrist = (frames[:, _TURN] / self.turn_std).square().sum()
         wrist = wrist + (frames[:, _SHIFT] / self.shift_std).square().sum()
         limits = 0.5 * (beyond / _LIMIT_STD).square().sum()
-        smooth = 0.5 * (self._stiffness() * bend.square()).sum()
+        smooth = 0.5 * (self._smoothness_weights() * bend.square()).sum()
         sizes = 0.5 * lengths @ _length_precision() @ lengths
         return torch.stack((data, usual + limits, 0.5 * wrist, smooth, sizes))
 
@@ -285,7 +287,7 @@ class _Fingers(Problem[Tensor]):
             hessian[:, part, part] += torch.eye(3).to(frames) / std**2
         return gradient, hessian
 
-    def _stiffness(self) -> Float[Tensor, " 28"]:
+    def _smoothness_weights(self) -> Float[Tensor, " 28"]:
         """Return the inverse variance of second differences at the frame rate, per variable."""
         std = self.base.new_full((_SIZE,), _ANGLE_CHANGE_STD)
         std[_TURN], std[_SHIFT] = _TURN_CHANGE_STD, _SHIFT_CHANGE_STD
@@ -327,12 +329,12 @@ def _length_precision() -> Float[Tensor, "20 20"]:
 
 
 def _transposed_differences(
-    bend: Float[Tensor, "steps n"], frames: int
+    differences: Float[Tensor, "steps n"], frames: int
 ) -> Float[Tensor, "time n"]:
     """Apply the transpose of the operator that takes second differences over time."""
-    out = bend.new_zeros(frames, bend.shape[-1])
+    out = differences.new_zeros(frames, differences.shape[-1])
     for k, share in enumerate((1.0, -2.0, 1.0)):
-        out[k : k + len(bend)] += share * bend
+        out[k : k + len(differences)] += share * differences
     return out
 
 

@@ -39,12 +39,11 @@ def interpolated_cycle(
     shape = torch.lerp(a.shape, b.shape, share)
     base = [x.base for x in (a, b)]
     pelvis = [
-        (T @ _homogeneous_pelvis(prior, x.shape))[..., :3, :]
-        for T, x in zip(base, (a, b), strict=True)
+        (T @ _pelvis_column(prior, x.shape))[..., :3, :] for T, x in zip(base, (a, b), strict=True)
     ]
     fraction = shape.new_full(shape.shape[:-1], share)
     turn = so3.interpolate(base[0][..., :3, :3], base[1][..., :3, :3], fraction)
-    rest = _homogeneous_pelvis(prior, shape)[..., :3, :]
+    rest = _pelvis_column(prior, shape)[..., :3, :]
     place = torch.lerp(pelvis[0], pelvis[1], share) - turn @ rest
     upper = torch.cat((turn, place), -1)
     return a.replace(
@@ -93,7 +92,7 @@ def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
     return (Cycle(motion.start_time, motion.start_time + last, side, cost),)
 
 
-def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batch time"]:
+def foot_above_other(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batch time"]:
     """Return the height (m) of the left foot above the right, each by its lower joint."""
     left, right = (joints[..., [foot, toe], 2].amin(-1) for foot, toe in _FEET)
     return left - right
@@ -107,7 +106,7 @@ def curve_correlation(
     return unit[0] @ unit[1].mT
 
 
-def _homogeneous_pelvis(prior: AnchorFrames, shape: Tensor) -> Tensor:
+def _pelvis_column(prior: AnchorFrames, shape: Tensor) -> Tensor:
     """Return the pelvis of the rest pose as a homogeneous column vector."""
     pelvis = rest_pelvis(prior.body, shape)
     return torch.cat((pelvis, torch.ones_like(pelvis[..., :1])), -1)[..., None]

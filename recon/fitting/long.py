@@ -15,7 +15,7 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import concatenate, stack
 from recon.fitting.long_recording import AT_ONCE, LongRecording
-from recon.fitting.stages import shape_held, until_shape
+from recon.fitting.stages import until_first_shape_stage, with_shape_held
 from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import Reconstruction, checked_arguments, reconstruct
@@ -84,7 +84,7 @@ def fit_long(
     ready, body, start, scene, weights = checked_arguments(
         observations, body, start, scene, weights
     )
-    recording = LongRecording.cut(ready, body, window, overlap, start)
+    recording = LongRecording.cut_into_windows(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
     job = _WindowFitter(recording, body, scene, weights, watch)
@@ -94,16 +94,19 @@ def fit_long(
     stages = stages_of(prior)
 
     def stages_with_ties(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        ties = [recording.tie(row, apart.neighbours(row), apart.fps, body) for row in rows]
-        return shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
+        ties = [
+            recording.tie_to_neighbours(row, apart.fitted_neighbours(row), apart.lowest_fps, body)
+            for row in rows
+        ]
+        return with_shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
 
     shapes = job.fit(
-        "shape", some, recording.guess.shape, lambda _, data: until_shape(stages(data))
+        "shape", some, recording.guess.shape, lambda _, data: until_first_shape_stage(stages(data))
     )
-    shape = shapes.shape()
-    apart = job.fit("apart", every[::2], shape, lambda _, data: shape_held(stages(data)))
+    shape = shapes.median_shape()
+    apart = job.fit("apart", every[::2], shape, lambda _, data: with_shape_held(stages(data)))
     between = job.fit("tied", every[1::2], shape, stages_with_ties)
-    motions, rate = apart.motions | between.motions, min(apart.fps, between.fps)
+    motions, rate = apart.motions | between.motions, min(apart.lowest_fps, between.lowest_fps)
     joined = joined_windows([motions[row].resample(rate) for row in every])
     whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
@@ -123,16 +126,16 @@ class _WindowFits:
     reports: tuple[StageReport, ...]
 
     @property
-    def fps(self) -> float:
+    def lowest_fps(self) -> float:
         """Lowest frame rate among the windows; fast motions may be fitted at a higher one."""
         return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
-    def neighbours(self, row: int) -> list[Motion]:
+    def fitted_neighbours(self, row: int) -> list[Motion]:
         """Return the fitted motions of the neighbouring windows, without those that failed."""
-        sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
-        return [self.motions[k] for k in sound]
+        fitted = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
+        return [self.motions[k] for k in fitted]
 
-    def shape(self) -> Float[Tensor, " shape"]:
+    def median_shape(self) -> Float[Tensor, " shape"]:
         """Return the median shape of the windows that did not fail, or of all if all failed."""
         good = [motion for row, motion in self.motions.items() if row not in self.failed]
         shapes = [motion.shape for motion in good or self.motions.values()]
@@ -160,7 +163,7 @@ class _WindowFitter:
         motions: dict[int, Motion] = {}
         failed: list[int] = []
         reports: list[tuple[StageReport, ...]] = []
-        for batch in self.recording.batches(rows):
+        for batch in self.recording.batches_of_equal_clocks(rows):
             parts = zip(*(self.recording.observations_of(row) for row in batch), strict=True)
             result = reconstruct(
                 [cast(Any, concatenate)(list(part)) for part in parts],

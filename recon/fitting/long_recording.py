@@ -87,7 +87,7 @@ class LongRecording:
     windows: Windows
 
     @classmethod
-    def cut(
+    def cut_into_windows(
         cls,
         observations: Sequence[Sensor],
         body: BodyModel,
@@ -119,7 +119,7 @@ class LongRecording:
         # at a low frame rate a window of this duration has few frames
         longest = max(round(window * guess.fps) + 1, _MIN_FRAMES)
         shared = max(round(overlap * guess.fps), 1)
-        windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
+        windows = Windows.cover(guess.frames, longest, shared, frames_until_30_hz_meets(guess.fps))
         return cls(observations, guess[0], windows)
 
     def time_range(self, row: int) -> tuple[float, float]:
@@ -141,7 +141,7 @@ class LongRecording:
             p.derived(start_time=round(p.start_time - start, _CLOCK_DIGITS)) for p in parts
         )
 
-    def batches(self, rows: Sequence[int]) -> Iterator[list[int]]:
+    def batches_of_equal_clocks(self, rows: Sequence[int]) -> Iterator[list[int]]:
         """Yield batches of windows whose observations begin at equal times after the start."""
 
         def clocks(row: int) -> tuple[float, ...]:
@@ -152,7 +152,7 @@ class LongRecording:
             size = math.ceil(len(alike) / math.ceil(len(alike) / AT_ONCE))
             yield from (alike[k : k + size] for k in range(0, len(alike), size))
 
-    def tie(
+    def tie_to_neighbours(
         self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel
     ) -> OverlapEnergy:
         """Return the energy that keeps a window near its finished neighbours in the overlap."""
@@ -169,7 +169,7 @@ class LongRecording:
         return OverlapEnergy(joints, weight, fps)
 
 
-def _common_step(fps: float) -> int:
+def frames_until_30_hz_meets(fps: float) -> int:
     """Return the frames after which a clock meets one at 30 Hz again; 1 if not within 0.2 s."""
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps

@@ -22,7 +22,7 @@ Method = str | Callable[..., Any]
 """A way to fit a prior, or a network for previews: its name, "package.module:Class", or itself."""
 
 
-def class_of(prior: str) -> Any:
+def prior_class(prior: str) -> Any:
     """Return the class of a prior, by its registered name or by "package.module:Class".
 
     Raises:
@@ -50,7 +50,7 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     """
     found = prior
     if isinstance(prior, str):
-        kind = class_of(prior)
+        kind = prior_class(prior)
         if missing := sorted(getattr(kind, "__abstractmethods__", ())):
             raise WeightsError(
                 f"prior: {prior!r} lacks {' and '.join(missing)}, which every recon.method.Prior "
@@ -66,7 +66,7 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
             )
     if is_prior(found):
         return as_prior(found)
-    if trait_of(found, "completes"):
+    if prior_trait(found, "completes"):
         return found
     raise WeightsError(
         f"prior: {prior!r} is no recon.method.Prior and has no method stages(data), got a "
@@ -74,9 +74,9 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     )
 
 
-def trait_of(prior: str | PriorLike, name: str) -> bool:
+def prior_trait(prior: str | PriorLike, name: str) -> bool:
     """Return the trait `knows_gravity` or `completes` of a prior, without loading its weights."""
-    return trait(class_of(prior) if isinstance(prior, str) else prior, name)
+    return trait(prior_class(prior) if isinstance(prior, str) else prior, name)
 
 
 def is_preview(method: Method | None) -> bool:
@@ -94,7 +94,7 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     """
     if name is None or is_preview(name):
         return None
-    known = list(getattr(class_of(prior) if isinstance(prior, str) else prior, "methods", ()))
+    known = list(getattr(prior_class(prior) if isinstance(prior, str) else prior, "methods", ()))
     if name in known:
         return name
     whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
@@ -158,12 +158,12 @@ class FitOptions:
     @property
     def completes(self) -> bool:
         """Whether the prior is of whole gait cycles, which are searched from many starts."""
-        return trait_of(self.prior, "completes")
+        return prior_trait(self.prior, "completes")
 
     @property
     def knows_gravity(self) -> bool:
         """Whether the prior judges heights above the ground and which way is up."""
-        return trait_of(self.prior, "knows_gravity")
+        return prior_trait(self.prior, "knows_gravity")
 
     @property
     def starting_shape(self) -> Float[Tensor, " shape"] | None:

@@ -24,12 +24,12 @@ from recon.fitting.cycles import (
     FITTED,
     NAMED_NOISE,
     RATES,
+    at_least_30_hz,
     complete,
     cycle_noise,
     cycle_prior,
-    moments_per_second,
     observations_in_space,
-    on_fast_clock,
+    seen_moments_per_second,
     seen_times,
 )
 from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches_of_cycles
@@ -101,16 +101,16 @@ def complete_recording(
         ObservationError: when at most one frame has data.
     """
     placed = observations_in_space(observations)
-    if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
+    if placed and seen_moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
             "at most one frame has data, so there is no motion to fit; give two or more"
         )
     seen = [
-        one if one.places is None else on_fast_clock(one.with_at_most_points(FITTED))
+        one if one.places is None else at_least_30_hz(one.with_at_most_points(FITTED))
         for one in observations
     ]
-    few = bool(placed) and moments_per_second(placed) < FEW
-    if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
+    few = bool(placed) and seen_moments_per_second(placed) < FEW
+    if few and (one := _fit_as_one_cycle(observations, prior, options, body, watch)) is not None:
         return one
     noise = tuple(
         given_or_usual_noise(one, options.noise_of(row), few) for row, one in enumerate(seen)
@@ -122,7 +122,7 @@ def complete_recording(
         _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
     )
     told = _gait_stretches(gait, observations_in_space(first.observations), motion, prior)
-    kept = [one for cycles in gait for one in cycles if one.explains]
+    kept = [one for cycles in gait for one in cycles if one.explains_data]
     if not kept:
         return replace(first, stretches=told)
     joints = joints_of_cycles(kept, motion, body)
@@ -139,7 +139,7 @@ def complete_recording(
     )
 
 
-def _one_cycle(
+def _fit_as_one_cycle(
     observations: Sequence[Sensor],
     prior: WholeRecording,
     options: FitOptions,
@@ -177,7 +177,7 @@ def given_or_usual_noise(sensor: Sensor, given: float | None, few_moments: bool)
     if not few_moments or sensor.places is None:
         return given
     usual = NAMED_NOISE if sensor.named else CLOUD_NOISE
-    often = max(moments_per_second([sensor]), RATES[0])
+    often = max(seen_moments_per_second([sensor]), RATES[0])
     return (usual if given is None else given) * (often / max(sensor.fps, often)) ** 0.5
 
 
@@ -196,7 +196,8 @@ def _completed_gait(
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
     made = [
-        [data.completed(motion, one) for one in stretch] for stretch in stretches_of_cycles(found)
+        [data.completed_cycle(motion, one) for one in stretch]
+        for stretch in stretches_of_cycles(found)
     ]
     return [own for rows in made if (own := [one for one in rows if one is not None])]
 
@@ -210,7 +211,7 @@ def _gait_stretches(
     """Partition the recording into stretches of gait and the rest."""
     times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
 
-    def count_between(start: float, stop: float) -> int:
+    def moments_between(start: float, stop: float) -> int:
         return int(((times >= start - 1e-6) & (times <= stop + 1e-6)).sum())
 
     told: list[Stretch] = []
@@ -218,22 +219,22 @@ def _gait_stretches(
     for cycles in gait:
         start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
         if start - at > _MIN_STRETCH_S:
-            told.append(Stretch(at, start, prior.steps, count_between(at, start)))
-        joined = sum(one.explains for one in cycles)
+            told.append(Stretch(at, start, prior.steps, moments_between(at, start)))
+        joined = sum(one.explains_data for one in cycles)
         told.append(
             Stretch(
                 start,
                 stop,
                 f"{prior.steps} and {prior.cycles}" if joined else prior.steps,
-                count_between(start, stop),
+                moments_between(start, stop),
                 len(cycles),
                 joined,
                 sum(one.energy for one in cycles),
-                sum(one.first for one in cycles),
+                sum(one.first_energy for one in cycles),
             )
         )
         at = stop
     end = float(motion.times[-1])
     if end - at > _MIN_STRETCH_S or not told:
-        told.append(Stretch(at, end, prior.steps, count_between(at, end)))
+        told.append(Stretch(at, end, prior.steps, moments_between(at, end)))
     return tuple(told)

@@ -115,7 +115,7 @@ class ClipFit:
     """Parts of a completed recording, in the order of time; empty for other fits."""
 
     @property
-    def compared(self) -> tuple[ComparedHypotheses, ...]:
+    def comparisons(self) -> tuple[ComparedHypotheses, ...]:
         """The hypotheses that stages compared, stage by stage."""
         stages = [report.compared for report in self.result.reports]
         return tuple(one for one in stages if one is not None)

@@ -35,7 +35,7 @@ SMOOTH = 5.0
 SETTLING_ITERATIONS = 60
 
 
-def settled_on_ground(
+def corrected_on_ground(
     motion: Motion, accelerations_of: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
     """Correct motions so that feet do not sink, float or slide, and the body is balanced.
@@ -74,7 +74,7 @@ def settled_on_ground(
     return estimate.motion
 
 
-def flying_frames(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
+def airborne_frames(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
     """Return a mask of frames in which no vertex is within 5 cm of the ground."""
     return body.pose(motion).vertices[..., 2].amin(-1) > NO_GROUND
 
@@ -126,12 +126,12 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     start = motion.translation[0] + body.rest_joints(motion.shape)[0]
 
     def retargeted(window: Motion) -> Motion:
-        return _settled_proposal(_network_proposal(window, shape, prior, start), window, body)
+        return _corrected_proposal(_network_proposal(window, shape, prior, start), window, body)
 
-    return _in_windows(motion, retargeted)
+    return _applied_in_windows(motion, retargeted)
 
 
-def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
+def retarget_by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
     """Return the same motion on a body of another shape, by physics without a network.
 
     The result is the motion nearest to the scaled copy (`recon.body.motion_files.with_shape`)
@@ -143,9 +143,9 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
 
     def retargeted(window: Motion) -> Motion:
         first = round((window.start_time - motion.start_time) * motion.fps)
-        return _settled_proposal(grown.window(first, first + window.frames), window, body)
+        return _corrected_proposal(grown.window(first, first + window.frames), window, body)
 
-    return _in_windows(motion, retargeted)
+    return _applied_in_windows(motion, retargeted)
 
 
 def _network_proposal(
@@ -168,7 +168,7 @@ def _network_proposal(
     return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
 
 
-def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
+def _corrected_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
     """Correct a proposal on the ground at 20 Hz; between these frames, interpolate corrections.
 
     A network's proposal stands on the ground in every frame, by which its height may tremble.
@@ -180,8 +180,8 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
     """
     coarse, source = at_network_rate(made), at_network_rate(window)
     scaled = with_shape(source, body, made.shape)
-    flying = flying_frames(source, body)
-    stands = settled_on_ground(coarse[None], scaled[None], flying[None], body).detach()[0]
+    flying = airborne_frames(source, body)
+    stands = corrected_on_ground(coarse[None], scaled[None], flying[None], body).detach()[0]
     between = _spline_matrix(made)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation
@@ -197,7 +197,7 @@ def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     return spline_matrix(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
-def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
+def _applied_in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
     """Apply `function` to windows of `WINDOW` seconds that share `OVERLAP`; join the results."""
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]

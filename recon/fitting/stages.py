@@ -45,7 +45,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     return stages_for
 
 
-def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def from_first_with_prior(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages from the first one that has a prior; earlier ones only place the motion.
 
     Where motions are proposed for hidden limbs, stages start there.
@@ -55,13 +55,13 @@ def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     return tuple(stages[next(proposing, next(of_prior, 0)) :])
 
 
-def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def from_first_pose_stage(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages from the first one that optimises more than translation and root."""
     first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACEMENT), 0)
     return tuple(stages[first:])
 
 
-def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def for_one_view(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages for one view, where the size of bones in the image gives the distance.
 
     Placing a rest body first would trade its stretched limbs against distance. A prior that knows
@@ -70,17 +70,17 @@ def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """
     return tuple(
         stage if stage.prior.knows_gravity else replace(stage, second_order=None)
-        for stage in without_root(stages)
+        for stage in from_first_pose_stage(stages)
     )
 
 
-def until_shape(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def until_first_shape_stage(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages up to the first that optimises the shape; only the first if none does."""
     moving = (k for k, stage in enumerate(stages) if "shape" in stage.free)
     return tuple(stages[: next(moving, 0) + 1])
 
 
-def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def with_shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return stages that optimise the shape only in the first that frees it, then hold it.
 
     One view does not show whether a person is large and far or small and near, except by feet that
@@ -89,7 +89,7 @@ def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     fit. A person who turned cartwheels before a camera of known pose became a child that floated a
     metre in front of it.
     """
-    first = until_shape(stages)
+    first = until_first_shape_stage(stages)
     return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
 
 
@@ -110,7 +110,7 @@ def with_relative_accelerations(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any
     )
 
 
-def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def with_shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages with the shape held, without those that optimise nothing else."""
     held = (replace(stage, free=stage.free - _SHAPE) for stage in stages)
     return tuple(stage for stage in held if stage.free)
@@ -126,18 +126,18 @@ def with_shape_terms(
 
 
 def with_scene(
-    stages: Sequence[Stage[Any]], moved: frozenset[str], terms: tuple[Term, ...]
+    stages: Sequence[Stage[Any]], unknowns: frozenset[str], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
     """Return the stages with unknowns of the scene, which move once there is a first motion.
 
     Args:
         stages: stages of a prior; the first that moves poses holds the scene if others follow.
-        moved: names of unknowns such as `scene.ground.tilt`; see `recon.core.scene`.
+        unknowns: names of unknowns such as `scene.ground.tilt`; see `recon.core.scene`.
         terms: energies of these unknowns.
     """
     posing = [k for k, stage in enumerate(stages) if not stage.free <= _PLACEMENT]
     return tuple(
-        replace(stage, terms=(*stage.terms, *terms), free=stage.free | moved)
+        replace(stage, terms=(*stage.terms, *terms), free=stage.free | unknowns)
         if k in (posing[1:] or posing)
         else stage
         for k, stage in enumerate(stages)

@@ -75,17 +75,19 @@ class StillFeet(TensorStruct):
         """Return the energy, at 30 Hz."""
         motion = estimate.motion
         step = estimate.body.joints[..., FEET, :].diff(dim=-3).square().sum(-1)
-        return 0.5 * (self._weights(motion) * step).sum((-1, -2))
+        return 0.5 * (self._weights_at_steps(motion) * step).sum((-1, -2))
 
     def add_curvature(
         self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
     ) -> None:
         """Add the Hessian of the energy to `joints`; see `SupportEnergy.add_curvature`."""
         held = joints.new_zeros(len(joints) - 1, 22, 3)
-        held[:, FEET] = weight * self._weights(estimate.motion)[clip, ..., None].to(joints)
+        held[:, FEET] = weight * self._weights_at_steps(estimate.motion)[clip, ..., None].to(
+            joints
+        )
         add_differences(joints, (-1.0, 1.0), held.flatten(1))
 
-    def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
+    def _weights_at_steps(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
         """Return weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
         time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
         # 1e-3 frames are added, since rounding may put a time just before its frame
@@ -105,11 +107,11 @@ def with_still_feet(
     if view.fps < FEW_MOMENTS:
         return tuple(stages)
 
-    def held(stage: Stage[Any]) -> Stage[Any]:
+    def with_feet_held(stage: Stage[Any]) -> Stage[Any]:
         contact = next((one for one in stage.terms if one.name == "contact velocity"), None)
         if contact is None or stage.name != "contacts":
             return stage
         still = StillFeet.of(view, body, pixel_size)
         return replace(stage, terms=(*stage.terms, Term("still feet", still, contact.weight)))
 
-    return tuple(map(held, stages))
+    return tuple(map(with_feet_held, stages))

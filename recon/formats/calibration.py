@@ -134,7 +134,7 @@ def load_cameras(
     if len(parts) == 0:
         raise FormatError(f"{path}: expected at least one camera, found none")
     cameras = {name: checked_camera(part, image_size, path) for name, part in parts.items()}
-    chosen, reason = _decided_unit(cameras, unit, path)
+    chosen, reason = _unit_with_reason(cameras, unit, path)
     converted = {
         name: _in_metres_z_up(camera, METRES[chosen], up or "z")
         for name, camera in cameras.items()
@@ -204,7 +204,7 @@ def _read_npz(path: Path) -> CameraFields:
     )  # fmt: skip
 
 
-def _decided_unit(
+def _unit_with_reason(
     cameras: Mapping[str, CameraArrays], unit: CameraUnit | None, path: Path
 ) -> tuple[CameraUnit, str]:
     if unit is not None:

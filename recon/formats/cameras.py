@@ -67,7 +67,7 @@ class CameraArrays:
         return self.focal_std == 0
 
     @property
-    def poses(self) -> int:
+    def pose_count(self) -> int:
         """Number of poses: 0 if they are unknown, 1 of a fixed camera, or one per frame."""
         return 0 if self.T_camera_world is None else len(self.T_camera_world)
 
@@ -104,14 +104,14 @@ def checked_camera(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
             f"an array of shape {matrix.shape}"
         )
-    size = _image_size(fields.size, image_size, where)
-    distortion = _distortion(fields.distortion, where)
+    size = _checked_image_size(fields.size, image_size, where)
+    distortion = _checked_distortion(fields.distortion, where)
     check_camera(matrix, size, distortion, where)
     return CameraArrays(
         camera_matrix=matrix,
         image_size=size,
         distortion=distortion,
-        T_camera_world=_pose(fields, where),
+        T_camera_world=_checked_poses(fields, where),
     )
 
 
@@ -126,7 +126,7 @@ def _float_array(value: Any, what: str, where: str) -> np.ndarray:
     return numbers
 
 
-def _image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
+def _checked_image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
     if stated is None and given is None:
         raise FormatError(
             f"{where}: the calibration does not state the image size; give it with --image-size "
@@ -139,7 +139,7 @@ def _image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple
     return int(size[0]), int(size[1])
 
 
-def _distortion(value: Any, where: str) -> np.ndarray | None:
+def _checked_distortion(value: Any, where: str) -> np.ndarray | None:
     if value is None:
         return None
     numbers = _float_array(value, "distortion", where).ravel()
@@ -156,7 +156,7 @@ def _distortion(value: Any, where: str) -> np.ndarray | None:
     return numbers if numbers.any() else None
 
 
-def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
+def _checked_poses(fields: CameraFields, where: str) -> np.ndarray | None:
     if fields.pose is not None:
         pose = _float_array(fields.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose
@@ -202,7 +202,7 @@ def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"]
     return np.ones(2) if np.abs(np.subtract(other, size)).max() < _BLOCK else None
 
 
-def straightened(
+def undistorted_pixels(
     pixels: Float[np.ndarray, "*points 2"], camera: CameraArrays
 ) -> Float[np.ndarray, "*points 2"]:
     """Undistort pixels: return where the same camera without distortion would see them."""
@@ -232,7 +232,7 @@ def guessed_camera(image_size: tuple[int, int], stated: float | None = None) -> 
     return CameraArrays(matrix, (int(width), int(height)), focal_std=std)
 
 
-def guessed_size(
+def guessed_image_size(
     pixels: Float[np.ndarray, "detections points 2"],
     confidence: Float[np.ndarray, "detections points"],
 ) -> tuple[int, int]:

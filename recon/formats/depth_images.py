@@ -13,7 +13,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
 from recon.formats.observations import CameraArrays, PointsFile
 from recon.formats.opening import existing_file, files_of
-from recon.formats.scans import POINTS, naturally_sorted, thinned
+from recon.formats.scans import POINTS, naturally_sorted, thinned_cloud
 
 _PNG_HEADER = struct.Struct(">8s4x4sIIBB")
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -108,11 +108,11 @@ def read_depth_images(
         raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
     saturated, clouds = list[bool](), list[np.ndarray]()
 
-    def seen_depth(k: int) -> tuple[np.ndarray, np.ndarray]:
+    def depth_and_mask(k: int) -> tuple[np.ndarray, np.ndarray]:
         image = _read_depth_image(paths[k], camera)
         saturated.append(bool((image == _SATURATED).any()))
         depth = np.where(image == _SATURATED, 0, image) * depth_scale
-        seen = (depth > 0) & ~at_edge(depth)
+        seen = (depth > 0) & ~edge_mask(depth)
         if shapes is None:
             return depth, seen
         mask = read_mask(shapes[k])
@@ -123,7 +123,9 @@ def read_depth_images(
         return depth, seen & mask
 
     order = (0, len(paths) // 2, len(paths) - 1, *range(len(paths)))
-    known = (float(np.median(depth[seen])) for depth, seen in map(seen_depth, order) if seen.any())
+    known = (
+        float(np.median(depth[seen])) for depth, seen in map(depth_and_mask, order) if seen.any()
+    )
     if not (middles := list(islice(known, _FIRST_LOOK))):
         raise FormatError(
             f"{folder}: no image holds any depth" + (" inside its mask" * bool(masks))
@@ -134,7 +136,9 @@ def read_depth_images(
             f"expected {_RANGE[0]} to {_RANGE[1]} m, so give the sensor's scale with --depth-scale"
         )
     for k in range(len(paths)):
-        cloud = thinned(back_projected(*seen_depth(k), lens), points, outliers, generator)
+        cloud = thinned_cloud(
+            back_projected(*depth_and_mask(k), lens), points, outliers, generator
+        )
         if poses is not None:
             T = poses[k % len(poses)]
             cloud = (cloud - T[:3, 3]) @ T[:3, :3]
@@ -163,7 +167,7 @@ def back_projected(
     return camera.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
 
 
-def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+def edge_mask(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
     """Return a mask of pixels whose neighbour is farther or nearer by more than 0.15 m."""
     edge = np.zeros(depth.shape, np.bool_)
     for axis in (0, 1):

@@ -79,7 +79,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         FormatError: when it is damaged, holds nothing of this kind or not so many people.
     """
     tree = _read_tree(path)
-    people = list(_bodies_in(tree, ()))
+    people = list(_dictionaries_of_bodies(tree, ()))
     in_world = [
         one for one in people if not any(word in str(key) for key in one[0] for word in _IN_CAMERA)
     ]
@@ -90,11 +90,11 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
             "(global_orient, body_pose and transl; root_orient, pose_body and trans; or poses and "
             f"trans), got {_names_of_people(tree)}"
         )
-    number, notes = _chosen_person(path, people, person)
+    number, notes = _person_index(path, people, person)
     where, arrays = people[number]
     if where:
         notes.append(f"taken from {'.'.join(map(str, where))}")
-    rotations = _rotations(path, arrays)
+    rotations = _rotations_of_joints(path, arrays)
     translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
     if "smpl_scaling" in arrays:  # AIST++ states the path of a scaled body
         translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
@@ -109,9 +109,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     if not known.any():
         raise FormatError(f"{path}: no frame of the person holds finite numbers")
     limits.POSITION.check(translation[known], path, "translation")
-    rotations, translation, known = _held_at_every_frame(
-        path, arrays, rotations, translation, known
-    )
+    rotations, translation, known = _filled_frames(path, arrays, rotations, translation, known)
     axis = _up_axis_of(path, rotations[known], up, notes)
     betas = next((_numeric_array(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
     known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
@@ -175,7 +173,9 @@ def _records_by_person(tree: Tree) -> Tree:
     }
 
 
-def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
+def _dictionaries_of_bodies(
+    tree: Tree, where: tuple[Any, ...]
+) -> Iterator[tuple[tuple[Any, ...], Tree]]:
     """Find all nested dictionaries with per-frame body parameters, each with its path of keys."""
     names = {key for key in tree if isinstance(key, str)}
     turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
@@ -183,7 +183,7 @@ def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, 
         yield from ((where, one) for one in _people_of_arrays(tree))
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            yield from _bodies_in(value, (*where, key))
+            yield from _dictionaries_of_bodies(value, (*where, key))
 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
@@ -200,7 +200,7 @@ def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
         }
 
 
-def _chosen_person(
+def _person_index(
     path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
 ) -> tuple[int, list[str]]:
     if person is not None and not 0 <= person < len(people):
@@ -217,7 +217,7 @@ def _chosen_person(
     ]
 
 
-def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
+def _rotations_of_joints(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
     if any(key in arrays for key in _ROOT) and any(key in arrays for key in _BODY):
         parts = [
             _rotation_matrices(path, _array_by_any_name(path, arrays, keys))
@@ -283,28 +283,28 @@ def _numeric_array(value: Any) -> np.ndarray:
         return np.zeros(0)
 
 
-def _held_at_every_frame(
+def _filled_frames(
     path: Path,
     arrays: Tree,
     rotations: np.ndarray,
     translation: np.ndarray,
-    finite: Bool[np.ndarray, " time"],
+    has_person: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fill frames without the person from those before; return rotations, translations, mask."""
-    frames = np.arange(len(finite))
+    frames = np.arange(len(has_person))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:
         ids = _numeric_array(arrays[key]).ravel()
-        if ids.dtype.kind not in "iu" or len(ids) != len(finite) or (np.diff(ids) <= 0).any():
+        if ids.dtype.kind not in "iu" or len(ids) != len(has_person) or (np.diff(ids) <= 0).any():
             raise FormatError(f"{path}: expected rising {key}, one for every frame")
         frames = ids - ids[0]
     count = int(frames[-1]) + 1
     limits.FRAMES.check(count, path, "frame_ids")
     NUMBERS.check(count * rotations[0].size, path, "frame_ids")
     there = np.zeros(count, bool)
-    there[frames] = finite
+    there[frames] = has_person
     source = np.full(count, -1)
-    source[frames[finite]] = np.flatnonzero(finite)
+    source[frames[has_person]] = np.flatnonzero(has_person)
     held = np.maximum.accumulate(source)
     held[held < 0] = source[source >= 0][0]
     return rotations[held], translation[held], there

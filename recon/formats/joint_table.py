@@ -33,7 +33,7 @@ class JointCertainty:
         std = file.joint_std.detach().cpu()
         observed = file.observed
         seen = torch.ones_like(std, dtype=torch.bool) if observed is None else observed.cpu()
-        return cls(_median(std, seen), _median(std, ~seen), float((~seen).double().mean()))
+        return cls(_median_std(std, seen), _median_std(std, ~seen), float((~seen).double().mean()))
 
     def __str__(self) -> str:
         """Format the medians as `1.1 cm where seen, 5.3 cm where inferred (17 % of joints)`."""
@@ -46,7 +46,7 @@ class JointCertainty:
         return ", ".join(parts)
 
 
-def _median(std: Float[Tensor, "time 22"], rows: Bool[Tensor, "time 22"]) -> float | None:
+def _median_std(std: Float[Tensor, "time 22"], rows: Bool[Tensor, "time 22"]) -> float | None:
     return float(std[rows].median()) if bool(rows.any()) else None
 
 

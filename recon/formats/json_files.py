@@ -51,12 +51,12 @@ def parsed_json(path: Path, data: bytes) -> Any:
     return _parsed(path, data)
 
 
-def _check_sizes(found: Sequence[bytes], source: Path) -> None:
+def _check_sizes(parts: Sequence[bytes], source: Path) -> None:
     """Refuse JSON whose parsed contents would not fit into memory."""
     # Python needs two to four bytes per character of a text that is not ASCII
-    JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
+    JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in parts), source)
     sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
-    _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
+    _ENTRIES.check(sum(size * one.count(mark) for one in parts for mark, size in sizes), source)
 
 
 def _parsed(path: Path, data: bytes) -> Any:
@@ -157,7 +157,7 @@ def _stated_number(entry: Any) -> int | None:
     return None
 
 
-def people_in(
+def people_of_frames(
     frames: Frames, key: str, name: str, expected: str
 ) -> Iterator[tuple[int, dict[str, Any], str]]:
     """Yield each person's frame number, record, and name for messages, from lists under `key`.

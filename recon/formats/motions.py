@@ -114,7 +114,7 @@ def motion_from(
         if key in arrays and key not in numeric:
             raise FormatError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
     translation = _array(path, numeric, "trans", ("time", 3))
-    poses = _poses(path, numeric)
+    poses = _rotation_vectors(path, numeric)
     if len(poses) != len(translation) or len(poses) == 0:
         raise FormatError(
             f"{path}: expected as many frames in trans as in poses, and at least one; got "
@@ -131,7 +131,7 @@ def motion_from(
     motion = Motion.create(
         translation=torch.from_numpy(translation).to(dtype),
         rotations=so3.exp(torch.from_numpy(poses[:, :66].reshape(-1, 22, 3))).to(dtype),
-        shape=torch.from_numpy(_betas(path, numeric)).to(dtype),
+        shape=torch.from_numpy(_shape_coefficients(path, numeric)).to(dtype),
         fps=fps,
         start_time=_number_or_default(path, numeric, "start_time", 0.0, limits.TIME),
     )
@@ -141,7 +141,7 @@ def motion_from(
         motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
     gender = _text(arrays, "gender", "neutral").lower()
     extra = {
-        key: _tensor(_array(path, numeric, key, shape, time=len(poses)), dtype)
+        key: _as_tensor(_array(path, numeric, key, shape, time=len(poses)), dtype)
         for key, shape in _EXTRA.items()
         if key in arrays
     }
@@ -181,11 +181,11 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     # doubles, since the logarithm loses half of its digits near 180 degrees
     poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
     arrays: dict[str, np.ndarray] = {
-        "trans": _numpy(motion.translation[:frames]),
-        "poses": _numpy(poses.flatten(-2)),
-        "root_orient": _numpy(poses[:, 0]),
-        "pose_body": _numpy(poses[:, 1:].flatten(-2)),
-        "betas": _numpy(motion.shape),
+        "trans": _as_numpy(motion.translation[:frames]),
+        "poses": _as_numpy(poses.flatten(-2)),
+        "root_orient": _as_numpy(poses[:, 0]),
+        "pose_body": _as_numpy(poses[:, 1:].flatten(-2)),
+        "betas": _as_numpy(motion.shape),
         "gender": np.array(file.gender),
         "mocap_framerate": np.array(motion.fps),
         "mocap_frame_rate": np.array(motion.fps),
@@ -202,7 +202,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
         value: Tensor | None = getattr(file, key)
         if value is not None:
             per_frame = shape[0] == "time" or (shape[0] == "poses" and len(value) == motion.frames)
-            arrays[key] = _numpy(value[:frames] if per_frame else value)
+            arrays[key] = _as_numpy(value[:frames] if per_frame else value)
     if file.cameras:
         arrays |= _camera_arrays(file.cameras, frames)
     if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
@@ -218,10 +218,10 @@ def _camera_arrays(cameras: "tuple[FilmingCamera, ...]", frames: int) -> dict[st
     lens = [torch.zeros(0) if one.distortion is None else one.distortion for one in every]
     return {
         "camera_names": np.array([one.name for one in cameras]),
-        "camera_matrix": _numpy(torch.stack([one.camera_matrix for one in every])),
+        "camera_matrix": _as_numpy(torch.stack([one.camera_matrix for one in every])),
         "camera_size": np.array([one.image_size for one in every]),
-        "camera_distortion": np.stack([np.pad(_numpy(one), (0, 8 - len(one))) for one in lens]),
-        "camera_pose": _numpy(torch.stack(poses)),
+        "camera_distortion": np.stack([np.pad(_as_numpy(one), (0, 8 - len(one))) for one in lens]),
+        "camera_pose": _as_numpy(torch.stack(poses)),
         "camera_start": np.array([one.start_time for one in cameras]),
     }
 
@@ -251,8 +251,8 @@ def _cameras(
         distortion = lens if lens.any() else None
         check_camera(matrix, (width, height), distortion, path, name)
         camera = Camera(
-            _tensor(matrix, dtype), (width, height),
-            None if distortion is None else _tensor(distortion, dtype), _tensor(pose, dtype),
+            _as_tensor(matrix, dtype), (width, height),
+            None if distortion is None else _as_tensor(distortion, dtype), _as_tensor(pose, dtype),
         )  # fmt: skip
         cameras.append(FilmingCamera(name, camera, float(start)))
     return tuple(cameras)
@@ -271,7 +271,7 @@ def _check_keys(path: Path, arrays: dict[str, np.ndarray]) -> None:
         )
 
 
-def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+def _rotation_vectors(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if "poses" in arrays:
         poses = arrays["poses"]
     else:
@@ -320,7 +320,7 @@ def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
         limits.ROTATION.check(place[:, 3:], path, "in_camera[:, 3:]")
 
 
-def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+def _shape_coefficients(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Return the shape coefficients (S,); some files repeat them in every frame."""
     betas = arrays["betas"].astype(np.float64)
     if betas.ndim == 2 and len(betas) > 0 and np.allclose(betas, betas[:1], atol=1e-6):
@@ -388,11 +388,11 @@ def _text(arrays: dict[str, np.ndarray], key: str, default: str) -> str:
     return item.decode("latin-1") if isinstance(item, bytes) else str(item)
 
 
-def _tensor(array: np.ndarray, dtype: torch.dtype) -> Tensor:
+def _as_tensor(array: np.ndarray, dtype: torch.dtype) -> Tensor:
     return torch.from_numpy(array).to(dtype)
 
 
-def _numpy(tensor: Tensor) -> np.ndarray:
+def _as_numpy(tensor: Tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy()
 
 

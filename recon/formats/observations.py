@@ -16,7 +16,7 @@ from recon.formats.cameras import CameraArrays as CameraArrays
 from recon.formats.cameras import CameraFields, checked_camera
 from recon.formats.opening import load_arrays
 from recon.formats.replacing import save_arrays
-from recon.formats.scan_times import PointClock, settled_clock
+from recon.formats.scan_times import PointClock, compact_clock
 
 _POSITIONS = ("positions", "visible", "names", "fps", "up_axis")
 _KEYS = {
@@ -209,7 +209,7 @@ def _keypoints_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> Key
         pixels=np.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
         layout=arrays.text("layout"),
-        camera=_camera(arrays, len(confidence)),
+        camera=_camera_of_file(arrays, len(confidence)),
         fingers=fingers,
         **common_fields,
     )
@@ -225,7 +225,7 @@ def _points_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> Points
     limits.CLOUD.check(len(points), path, "points")
     camera, rotation_to_z_up = None, arrays.rotation_to_z_up()
     if {"camera_matrix", "image_size"} <= arrays.arrays.keys():
-        camera = _camera(arrays, int(frame.max()) + 1)
+        camera = _camera_of_file(arrays, int(frame.max()) + 1)
     if camera is None or camera.T_camera_world is not None:
         points = points @ rotation_to_z_up.T
     if camera is not None and camera.T_camera_world is not None:
@@ -233,30 +233,30 @@ def _points_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> Points
         pose[:, :3, :3] = pose[:, :3, :3] @ rotation_to_z_up.T
         camera = replace(camera, T_camera_world=pose)
     clock = PointClock(frame.astype(np.int64), common_fields["fps"], common_fields["start_time"])
-    moving = camera is not None and camera.poses > 1
+    moving = camera is not None and camera.pose_count > 1
     if not moving and common_fields["truth_visible"] is None:
-        clock = settled_clock(clock.frame, clock.fps, clock.start_time, path)
+        clock = compact_clock(clock.frame, clock.fps, clock.start_time, path)
     limits.FRAME_RATE.check(clock.fps, path, "fps")
     return PointsFile(points=points, camera=camera, **{**common_fields, **vars(clock)})
 
 
-def _camera(found: "_FileArrays", frames: int) -> CameraArrays:
+def _camera_of_file(file: "_FileArrays", frames: int) -> CameraArrays:
     """Read the camera of an observation file; it has no pose, one, or one per frame."""
-    arrays = found.arrays
+    arrays = file.arrays
     fields = CameraFields(
         "of the file", arrays["camera_matrix"], arrays["image_size"], arrays.get("distortion"),
         pose=arrays.get("T_camera_world"),
     )  # fmt: skip
-    distortion = found.optional("distortion", (None,))
+    distortion = file.optional("distortion", (None,))
     if distortion is not None and len(distortion) not in (4, 5, 8):
         raise FormatError(
-            f"{found.path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
+            f"{file.path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
         )
-    camera = replace(checked_camera(fields, None, found.path), distortion=distortion)
+    camera = replace(checked_camera(fields, None, file.path), distortion=distortion)
     if camera.T_camera_world is not None:
-        if camera.poses != 1 and camera.poses < frames:
-            raise FormatError(f"{found.path}: expected 1 or {frames} poses in T_camera_world")
-        check_pose(camera.T_camera_world, found.path, "T_camera_world")
+        if camera.pose_count != 1 and camera.pose_count < frames:
+            raise FormatError(f"{file.path}: expected 1 or {frames} poses in T_camera_world")
+        check_pose(camera.T_camera_world, file.path, "T_camera_world")
     return camera
 
 

@@ -76,7 +76,7 @@ def check_sizes(
                 total += info.file_size
                 limit.check(total, path, name)
                 continue
-            shape, dtype, place = _header(archive, info)
+            shape, dtype, place = _shape_dtype_header(archive, info)
             if dtype.hasobject:
                 continue
             if dtype.kind in "US" and dtype.itemsize > _LONGEST_TEXT:
@@ -94,7 +94,7 @@ def check_sizes(
     return names
 
 
-def _header(
+def _shape_dtype_header(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype, int]:
     """Read shape and dtype of one array in an archive, and the length of its header in bytes."""

@@ -36,7 +36,7 @@ class Output:
     """Whether the output may lie in an input folder, since the reader leaves results alone."""
 
     @property
-    def real(self) -> Path:
+    def real_path(self) -> Path:
         """The path with symbolic links resolved, since a link's target is what is written over."""
         return Path(os.path.realpath(self.path))
 
@@ -46,25 +46,25 @@ class Output:
         return self.kind in (OutputKind.FOLDER, OutputKind.CONTINUED)
 
     @property
-    def base(self) -> Path:
+    def folder_of_names(self) -> Path:
         """The folder to which file names in the report are relative."""
-        return self.real if self.is_folder else self.real.parent
+        return self.real_path if self.is_folder else self.real_path.parent
 
     @property
     def report(self) -> Path | None:
         """Path of the report, which lists the files that recon wrote; None for CONTINUED."""
         places = {
-            OutputKind.FILE: self.real.parent / f"{self.real.name}.json",
-            OutputKind.REPORT: self.real,
-            OutputKind.FOLDER: self.real / "report.json",
+            OutputKind.FILE: self.real_path.parent / f"{self.real_path.name}.json",
+            OutputKind.REPORT: self.real_path,
+            OutputKind.FOLDER: self.real_path / "report.json",
         }
         return places.get(self.kind)
 
     @property
     def places(self) -> tuple[Path, ...]:
         """Paths of the output and of its report."""
-        others = () if self.report in (None, self.real) else (self.report,)
-        return (self.real, *others)
+        others = () if self.report in (None, self.real_path) else (self.report,)
+        return (self.real_path, *others)
 
 
 def check_outputs(
@@ -86,9 +86,9 @@ def check_outputs(
     inputs = list(inputs)
     taken: dict[Path, Path] = {}
     for output in outputs:
-        refuse_inputs(output, inputs)
-        refuse_place(output)
-        own_files(output, overwrite=overwrite)
+        refuse_outputs_over_inputs(output, inputs)
+        refuse_unwritable(output)
+        checksums_of_own_files(output, overwrite=overwrite)
         for place in output.places:
             if place in taken:
                 raise ValueError(
@@ -98,7 +98,7 @@ def check_outputs(
             taken[place] = output.path
 
 
-def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
+def refuse_outputs_over_inputs(output: Output, inputs: Iterable[Path]) -> None:
     """Refuse an output that is an input, holds one, or lies in an input folder.
 
     Symbolic and hard links, relative paths and other spellings are resolved.
@@ -110,29 +110,29 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
         real = Path(os.path.realpath(given))
         for place in output.places:
             if _same_file(place, real):
-                what = output.path if place == output.real else place
+                what = output.path if place == output.real_path else place
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
                 )
         # a symbolic link lies in two folders: its own and that of its target
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
-        if output.is_folder and any(name.is_relative_to(output.real) for name in names):
+        if output.is_folder and any(name.is_relative_to(output.real_path) for name in names):
             raise ValueError(f"{output.path} holds the input {given}; write to another folder")
-        if real.is_dir() and output.real.is_relative_to(real) and not output.inside_input:
+        if real.is_dir() and output.real_path.is_relative_to(real) and not output.inside_input:
             raise ValueError(
                 f"{output.path} lies in the input {given}, and would be read as part of it the "
                 "next time; write somewhere else"
             )
 
 
-def refuse_place(output: Output) -> None:
+def refuse_unwritable(output: Output) -> None:
     """Refuse a path that cannot be written, by creating and removing a file there.
 
     Raises:
         ValueError: when a folder is where a file is written, or the other way round.
         OSError: when the place is below a file, or cannot be written to.
     """
-    real = output.real
+    real = output.real_path
     for place in output.places:
         if place.is_symlink():  # realpath resolves all others but circular links
             raise OSError(f"{output.path}: its links lead in a circle; give another name")
@@ -163,7 +163,7 @@ def refuse_place(output: Output) -> None:
         ) from error
 
 
-def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
+def checksums_of_own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     """Return SHA-256 of the existing files that a former run wrote, keyed by name.
 
     Raises:
@@ -171,7 +171,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     """
     if output.report is None:
         assert output.is_former is not None
-        if not overwrite and _existing_files(output) and not output.is_former(output.real):
+        if not overwrite and _existing_files(output) and not output.is_former(output.real_path):
             raise FileExistsError(
                 f"{output.path} holds files already, and is not the folder of an interrupted run; "
                 "give a new folder, or write into it by --overwrite"
@@ -199,10 +199,10 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
 
 def _existing_files(output: Output) -> dict[str, Path]:
     """Find an output's existing files, keyed by their names in the report, but no hidden ones."""
-    real = output.real
+    real = output.real_path
     found = sorted(real.rglob("*")) if output.is_folder else [real]
     return {
-        path.relative_to(output.base).as_posix(): path
+        path.relative_to(output.folder_of_names).as_posix(): path
         for path in found
         if (path.is_file() or path.is_symlink())
         and path != output.report

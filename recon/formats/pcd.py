@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import CLOUD, KEYPOINTS
-from recon.formats.texts import numbers_in, read_binary
+from recon.formats.texts import parsed_numbers, read_binary
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
@@ -76,7 +76,7 @@ def _header(path: Path, data: bytes) -> tuple[dict[str, list[str]], bytes]:
 def _values_of_text(
     body: bytes, names: list[str], counts: list[int], columns: list[int], count: int
 ) -> np.ndarray:
-    values = numbers_in(body, count * sum(counts)).reshape(count, sum(counts))
+    values = parsed_numbers(body, count * sum(counts)).reshape(count, sum(counts))
     first = np.cumsum([0, *counts[:-1]])
     assert len(names) == len(counts)
     return values[:, first[columns]]

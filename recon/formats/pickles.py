@@ -157,7 +157,7 @@ def _empty_array(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray
     return np.ndarray.__new__(np.ndarray, (0,), "b")
 
 
-def _some_bytes(value: object = b"", *encoding: str) -> bytes:
+def _safe_bytes(value: object = b"", *encoding: str) -> bytes:
     """Replacement for `bytes` that refuses numbers, which would allocate memory."""
     if isinstance(value, str):
         return _latin_bytes(value, *encoding)
@@ -224,7 +224,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
     **{(f"{core}.multiarray", "scalar"): np.float64(0).__reduce__()[0] for core in _NUMPY},
     **{(f"{core}.numeric", "_frombuffer"): np.zeros(1).__reduce_ex__(5)[0] for core in _NUMPY},
     **{(module, kind.__name__): kind for module in _BUILTINS for kind in _CONTAINERS},
-    **{(module, kind): _some_bytes for module in _BUILTINS for kind in ("bytes", "bytearray")},
+    **{(module, kind): _safe_bytes for module in _BUILTINS for kind in ("bytes", "bytearray")},
     ("_codecs", "encode"): _latin_bytes,
     ("copy_reg", "_reconstructor"): _inert_record,
     ("copyreg", "_reconstructor"): _inert_record,

@@ -103,13 +103,13 @@ def _project_table(config: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _calibration_file(levels: list[Path]) -> Path | None:
+def _calibration_file(folders_upwards: list[Path]) -> Path | None:
     """Find the calibration file in the first of the folders, from inside out, that has one.
 
     Raises:
         ValueError: when that folder has several.
     """
-    for level in levels:
+    for level in folders_upwards:
         folders = [one for one in sorted(level.iterdir()) if one.is_dir()]
         folders = [one for one in folders if "calib" in one.name.lower()]
         files = [path for one in folders for path in sorted(one.glob("*.toml"))]

@@ -22,13 +22,13 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         FileNotFoundError: when the folder does not exist.
     """
-    target = Path(os.path.realpath(path))
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"{target.parent}: no such folder; create it first")
-    beside = temporary_path(target)
+    real_path = Path(os.path.realpath(path))
+    if not real_path.parent.is_dir():
+        raise FileNotFoundError(f"{real_path.parent}: no such folder; create it first")
+    beside = temporary_path(real_path)
     try:
         yield beside
-        os.replace(beside, target)
+        os.replace(beside, real_path)
     finally:
         beside.unlink(missing_ok=True)
 
@@ -61,7 +61,7 @@ def clear_leftovers(path: Path) -> None:
     pattern = glob.escape(f".{path.name}.{_HOST}-") + "*.part"
     for leftover in path.parent.glob(pattern):
         number = leftover.name.removesuffix(".part").rpartition("-")[2]
-        if not number.isdigit() or _process_runs(int(number)):
+        if not number.isdigit() or _is_running(int(number)):
             continue
         if leftover.is_dir():
             shutil.rmtree(leftover, ignore_errors=True)
@@ -78,7 +78,7 @@ def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
-def _process_runs(process_id: int) -> bool:
+def _is_running(process_id: int) -> bool:
     """Whether a process with this number is running."""
     if os.name == "nt":
         return True  # on Windows os.kill(process, 0) would end the process

@@ -139,9 +139,9 @@ def frame_numbers_of_times(
     return _nearest_steps(times, finest), finest / span, float(times[0])
 
 
-def fits_memory(frames: int, seen: int) -> bool:
-    """Whether a recording of `frames` frames, of which `seen` have data, fits into memory."""
-    return frames <= max(_EMPTY * seen, _SHORT)
+def fits_memory(frames: int, nonempty: int) -> bool:
+    """Whether a recording of `frames` frames, of which `nonempty` have data, fits into memory."""
+    return frames <= max(_EMPTY * nonempty, _SHORT)
 
 
 def note_on_empty_frames(
@@ -193,7 +193,7 @@ class PointClock:
     """What was changed, in sentences."""
 
 
-def settled_clock(
+def compact_clock(
     frame: Int[np.ndarray, " points"], fps: float, start_time: float, path: Path
 ) -> PointClock:
     """Renumber the frames of points if nearly all numbers between the first and last are unused.

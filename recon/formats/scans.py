@@ -18,7 +18,7 @@ from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import in_time_order
-from recon.formats.texts import decoded_text, numbers_in, read_bytes, with_decimal_points
+from recon.formats.texts import decoded_text, parsed_numbers, read_bytes, with_decimal_points
 
 _BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -29,7 +29,7 @@ _LONGEST = 1 << 16
 """Most bytes of a PLY header."""
 
 
-def check_counts(path: Path) -> int:
+def vertex_count(path: Path) -> int:
     """Return a PLY file's number of vertices; refuse a file that is smaller than its header says.
 
     Raises:
@@ -113,7 +113,7 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged.
     """
-    if check_counts(existing_file(path)) == 0:
+    if vertex_count(existing_file(path)) == 0:
         return np.zeros((0, 3))
     # imported only when needed, since it loads slowly
     import trimesh
@@ -203,7 +203,7 @@ def read_scans(
     for path, cloud in zip(paths, clouds, strict=True):
         POSITION.check(cloud * metres, path, "[point, axis]")
     generator = np.random.default_rng(seed)
-    kept = [thinned(cloud * metres, points, outliers, generator) for cloud in clouds]
+    kept = [thinned_cloud(cloud * metres, points, outliers, generator) for cloud in clouds]
     return PointsFile(
         points=np.concatenate(kept) @ to_z_up(up).T,
         frame=np.repeat(frames, [len(cloud) for cloud in kept]),
@@ -284,7 +284,7 @@ def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
     return sorted(paths, key=key)
 
 
-def thinned(
+def thinned_cloud(
     cloud: Float[np.ndarray, "points 3"],
     count: int,
     outlier_deviations: float | None,
@@ -356,7 +356,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     try:
         if width < 3 or promised not in (None, count) or 2 * width * count > len(text) + 1:
             raise ValueError(f"the first of its {count} lines has {width} numbers")
-        found = numbers_in(text, width * count).reshape(count, width)[:, :3]
+        found = parsed_numbers(text, width * count).reshape(count, width)[:, :3]
     except ValueError as error:
         raise FormatError(
             f"{path}: expected lines of x, y, z and perhaps more, all of the same length, "

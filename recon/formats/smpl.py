@@ -55,7 +55,7 @@ class SmplArrays:
     faces: np.ndarray
     """(F, 3) vertex numbers."""
 
-    def of_body(self) -> dict[str, np.ndarray]:
+    def body_model_arrays(self) -> dict[str, np.ndarray]:
         """Reduce the model to 22 joints; name its arrays as in `recon.body.model.BodyModel`.
 
         Joints are regressed from the shaped surface; skinning weights of further joints are added

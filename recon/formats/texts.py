@@ -64,7 +64,7 @@ _LONGEST = 1000
 """Most characters of a number."""
 
 
-def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
+def parsed_numbers(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
     """Parse `count` numbers, separated by white space, from a position to the text's end.
 
     Raises:

@@ -193,9 +193,9 @@ class CameraTrack:
         Raises:
             ValueError: when the poses cover less than half of the frames.
         """
-        here = len(self.T_world_camera)
+        pose_count = len(self.T_world_camera)
         wanted = np.arange(first, first + count, dtype=np.float64)
-        if here == count:
+        if pose_count == count:
             return self.T_world_camera, "a pose for every frame, in their order"
         if self.frames is not None:
             known, how = self.frames.astype(np.float64), "by the numbers of the frames"
@@ -204,17 +204,17 @@ class CameraTrack:
             how = f"by time, the first pose at the first frame, {fps:g} frames per second"
         else:
             raise FormatError(
-                f"{self.producer}: {here} poses for {count} frames, without times or numbers; "
-                "give one pose for every frame"
+                f"{self.producer}: {pose_count} poses for {count} frames, without times or "
+                "numbers; give one pose for every frame"
             )
         inside = ((wanted >= known[0] - 0.5) & (wanted <= known[-1] + 0.5)).mean()
         if inside < 0.5:
             raise FormatError(
-                f"{self.producer}: its {here} poses are of frames {known[0]:.0f} to "
+                f"{self.producer}: its {pose_count} poses are of frames {known[0]:.0f} to "
                 f"{known[-1]:.0f}, the keypoints of {first} to {first + count - 1}; expected "
                 "poses of the same film"
             )
-        return _interpolated(self.T_world_camera, known, wanted), how
+        return _interpolated_poses(self.T_world_camera, known, wanted), how
 
 
 def read_track(path: Path) -> CameraTrack:
@@ -248,7 +248,7 @@ def read_track(path: Path) -> CameraTrack:
     raise FormatError(f"{path}: expected the track of a camera: {_KNOWN_FORMATS}")
 
 
-def _interpolated(
+def _interpolated_poses(
     T: Float[np.ndarray, "poses 4 4"], known_times: np.ndarray, wanted_times: np.ndarray
 ) -> Float[np.ndarray, "frames 4 4"]:
     from scipy.spatial.transform import Rotation, Slerp

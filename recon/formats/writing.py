@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from recon.formats.outputs import Output, OutputKind, own_files, refuse_place
+from recon.formats.outputs import Output, OutputKind, checksums_of_own_files, refuse_unwritable
 from recon.formats.replacing import file_checksum, temporary_path
 from recon.formats.reports import report_text
 
@@ -38,14 +38,14 @@ def writing(
         ValueError, OSError: when a place cannot be written to.
     """
     for output in outputs:
-        refuse_place(output)
-        own_files(output, overwrite=overwrite)
+        refuse_unwritable(output)
+        checksums_of_own_files(output, overwrite=overwrite)
     with ExitStack() as stack:
         stages = [stack.enter_context(_staged_output(output)) for output in outputs]
         with _errors_name_output(stages):
-            yield tuple(stage.path for stage in stages)
+            yield tuple(stage.temporary_result for stage in stages)
         # checked again, since hours may have passed since the first check
-        former = [own_files(output, overwrite=overwrite) for output in outputs]
+        former = [checksums_of_own_files(output, overwrite=overwrite) for output in outputs]
         for stage, own in zip(stages, former, strict=True):
             stage.add_report(report, own)
         with uninterrupted():
@@ -79,56 +79,59 @@ class _StagedOutput:
     """Hidden temporary folder, on the file system of the output."""
 
     @property
-    def path(self) -> Path:
+    def temporary_result(self) -> Path:
         """Temporary path of the result, under its final name."""
-        return self.folder / self.output.real.name
+        return self.folder / self.output.real_path.name
 
     @property
-    def report(self) -> Path:
+    def temporary_report(self) -> Path:
         """Temporary path of the report, next to the result or in its folder."""
         assert self.output.report is not None
-        return self.folder / self.output.report.relative_to(self.output.real.parent)
+        return self.folder / self.output.report.relative_to(self.output.real_path.parent)
 
-    def files(self) -> dict[str, Path]:
+    def temporary_files(self) -> dict[str, Path]:
         """Temporary paths of the written files, keyed by their names in the report."""
-        found = [self.path]
+        found = [self.temporary_result]
         if self.output.is_folder:
-            found = [path for path in sorted(self.path.rglob("*")) if path.is_file()]
-        base = self.path if self.output.is_folder else self.folder
-        return {p.relative_to(base).as_posix(): p for p in found if p != self.report}
+            found = [path for path in sorted(self.temporary_result.rglob("*")) if path.is_file()]
+        base = self.temporary_result if self.output.is_folder else self.folder
+        return {p.relative_to(base).as_posix(): p for p in found if p != self.temporary_report}
 
-    def add_report(self, report: Mapping[str, Any], own: Mapping[str, str]) -> None:
+    def add_report(self, report: Mapping[str, Any], former: Mapping[str, str]) -> None:
         """Write the report into the temporary folder, and flush all files to the disk."""
-        files = self.files()
+        files = self.temporary_files()
         found = {name: file_checksum(path) for name, path in files.items()}
-        self.report.write_text(report_text(report, found, own), encoding="utf-8")
-        for path in (*files.values(), self.report):
+        self.temporary_report.write_text(report_text(report, found, former), encoding="utf-8")
+        for path in (*files.values(), self.temporary_report):
             with path.open("rb+") as file:
                 os.fsync(file.fileno())
 
     def move_report(self) -> None:
         """Move the report to its place; that of a new folder is moved with the folder."""
-        if not self.output.is_folder or self.output.real.exists():
-            os.replace(self.report, self.output.real.parent / self.report.relative_to(self.folder))
+        if not self.output.is_folder or self.output.real_path.exists():
+            os.replace(
+                self.temporary_report,
+                self.output.real_path.parent / self.temporary_report.relative_to(self.folder),
+            )
 
-    def move(self, own: Mapping[str, str]) -> None:
+    def move(self, former: Mapping[str, str]) -> None:
         """Move the result to its place, and remove files of a former run."""
-        real = self.output.real
+        real = self.output.real_path
         if self.output.is_folder and not real.exists():
-            os.rename(self.path, real)
+            os.rename(self.temporary_result, real)
             return
-        files = self.files()
+        files = self.temporary_files()
         for name, path in files.items():
-            place = self.output.base / name
+            place = self.output.folder_of_names / name
             place.parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, place)
-        for name in own.keys() - files.keys():
-            (self.output.base / name).unlink(missing_ok=True)
+        for name in former.keys() - files.keys():
+            (self.output.folder_of_names / name).unlink(missing_ok=True)
 
 
 @contextmanager
 def _staged_output(output: Output) -> Iterator[_StagedOutput]:
-    real = output.real
+    real = output.real_path
     # an existing folder may be a mount point, which cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +140,7 @@ def _staged_output(output: Output) -> Iterator[_StagedOutput]:
     try:
         stage.folder.mkdir()
         if output.is_folder:
-            stage.path.mkdir()
+            stage.temporary_result.mkdir()
         yield stage
     finally:
         shutil.rmtree(stage.folder, ignore_errors=True)
@@ -151,7 +154,7 @@ def _errors_name_output(stages: Sequence[_StagedOutput]) -> Iterator[None]:
     except ValueError as error:
         text = str(error)
         for stage in stages:
-            text = text.replace(str(stage.path), str(stage.output.path))
+            text = text.replace(str(stage.temporary_result), str(stage.output.path))
         raise ValueError(text) from error
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.texts import decoded_text, numbers_in, read_bytes, with_decimal_points
+from recon.formats.texts import decoded_text, parsed_numbers, read_bytes, with_decimal_points
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -191,7 +191,7 @@ def _parse_motion(
         )
     rate = stated_rate(1 / step if step > 0 else 0.0, name, "Frame Time")
     try:
-        values = numbers_in(body, frames * width, timing.end())
+        values = parsed_numbers(body, frames * width, timing.end())
     except ValueError as error:
         raise FormatError(
             f"{name}: expected {frames} frames of {width} channels, but {str(error)[:100]}; the "

@@ -286,7 +286,7 @@ def _walls(
 
     The list is empty for scans, which have no sensor, and for a sensor that moves.
     """
-    if camera is None or camera.poses > 1:
+    if camera is None or camera.pose_count > 1:
         return []
     eye = T[:3, :3] @ sensor_position(camera) + T[:3, 3]
     return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]

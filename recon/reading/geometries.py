@@ -16,9 +16,9 @@ from recon.core.units import to_z_up
 from recon.fitting.records import Clip
 from recon.fitting.settings import FitSettings
 from recon.formats.cameras import CameraArrays
-from recon.formats.depth_images import at_edge
+from recon.formats.depth_images import edge_mask
 from recon.formats.observations import PointsFile
-from recon.formats.scans import POINTS, thinned
+from recon.formats.scans import POINTS, thinned_cloud
 from recon.reading.clip import as_format_errors, clip_of_files
 
 _HEEDED = {"frame_rate", "up", "seed", "robust", "ground"}
@@ -65,7 +65,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         ]
         CLOUD.check(sum(map(len, clouds)), "geometries", "all together: ")
     generator = np.random.default_rng(settings.seed)
-    kept = [thinned(cloud, POINTS, 3.0, generator) for cloud in clouds]
+    kept = [thinned_cloud(cloud, POINTS, 3.0, generator) for cloud in clouds]
     if not any(map(len, kept)):
         raise ObservationError("no geometry has any point")
     points, said = np.concatenate(kept), ()
@@ -117,7 +117,7 @@ def _points_of_depth_image(
             f"camera has, got {depth.shape}"
         )
     depth = np.nan_to_num(depth, posinf=0.0, neginf=0.0)
-    row, column = np.nonzero((depth > 0) & ~at_edge(depth))
+    row, column = np.nonzero((depth > 0) & ~edge_mask(depth))
     rays = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], 1)
     cloud = depth[row, column, None] * (rays @ np.linalg.inv(camera.camera_matrix).T)
     POSITION.check(cloud, f"depth image {frame}: expected metres", "[point, axis]")

@@ -11,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above
-from recon.formats.cameras import CameraArrays, straightened
+from recon.formats.cameras import CameraArrays, undistorted_pixels
 from recon.formats.observations import KeypointsFile
 
 
@@ -63,14 +63,14 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     if file.camera.distortion is None:
         return file.pixels
     written = (file.pixels == 0).all(-1, keepdims=True)
-    return np.where(written, 0.0, straightened(file.pixels, file.camera))
+    return np.where(written, 0.0, undistorted_pixels(file.pixels, file.camera))
 
 
 def _undistorted_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
     """Return the hand keypoints without lens distortion; None if the file has none."""
     if file.fingers is None:
         return None
-    pixels = straightened(file.fingers[..., :2], file.camera)
+    pixels = undistorted_pixels(file.fingers[..., :2], file.camera)
     fingers = np.concatenate((pixels, file.fingers[..., 2:]), -1)
     return np.where(file.fingers[..., 2:] > 0, fingers, 0.0)[None]
 

@@ -39,7 +39,7 @@ def sensor_movement(
     Raises:
         ObservationError: when it moves so far that a fit would be useless.
     """
-    if camera is None or camera.poses > 1:
+    if camera is None or camera.pose_count > 1:
         return ()
     shown = [cloud for cloud in clouds if len(cloud) > 0]
     every = max(1, sum(map(len, shown)) // _SAMPLE)

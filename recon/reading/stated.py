@@ -12,7 +12,7 @@ from recon.core.errors import ObservationError
 from recon.detections.reader import read_keypoints
 from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
-from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, straightened
+from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, undistorted_pixels
 from recon.formats.producers import is_film
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def background_camera(
     lines, shown = found.lines, found.lines_frame
     if lines is None or shown is None:
         lines, shown = np.zeros((0, 2, 2)), np.zeros(0, int)
-    ends, numbers = straightened(lines, camera) - matrix[:2, 2], np.unique(shown)
+    ends, numbers = undistorted_pixels(lines, camera) - matrix[:2, 2], np.unique(shown)
     images = [ends[shown == one] for one in numbers]
     T = np.eye(4)[None]
     if moved is not None:
@@ -212,7 +212,7 @@ def _with_motion(
 
     matrix = camera.camera_matrix
     focal = float(matrix[[0, 1], [0, 1]].mean())
-    pixels = straightened(behind.pixels, camera) - matrix[:2, 2]
+    pixels = undistorted_pixels(behind.pixels, camera) - matrix[:2, 2]
     seen = behind.frame, behind.point, pixels, focal
     moved = find_turning(*seen, known=camera.focal_known)
     if moved is None:

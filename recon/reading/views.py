@@ -17,7 +17,7 @@ from recon.formats.cameras import (
     CameraPath,
     checked_camera,
     guessed_camera,
-    guessed_size,
+    guessed_image_size,
 )
 from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import fits_memory
@@ -181,7 +181,7 @@ def _camera_of_one_view(
         size, reason = known.image_size, f"of {known.name}"
     if size is None and (stated is None or stated.size is None):
         seen = read_keypoints(path, layout=how.layout)
-        size = guessed_size(seen.pixels, seen.confidence)
+        size = guessed_image_size(seen.pixels, seen.confidence)
         reason = (
             "guessed as the smallest usual one that holds the keypoints (--image-size gives it)"
         )

@@ -17,7 +17,7 @@ from recon.core.motion import Motion, MotionFile
 from recon.fitting.settings import ReadOptions
 from recon.formats.depth_images import back_projected
 from recon.formats.observations import PointsFile
-from recon.formats.scans import thinned
+from recon.formats.scans import thinned_cloud
 from recon.reading.clouds import cloud_of
 
 LENS = SimpleNamespace(
@@ -36,7 +36,7 @@ def clip(given, body, **reading):
 
 def ours(frames, body):
     generator = np.random.default_rng(0)
-    kept = [thinned(cloud, 4096, 3.0, generator) for cloud in frames]
+    kept = [thinned_cloud(cloud, 4096, 3.0, generator) for cloud in frames]
     frame = np.repeat(np.arange(len(kept)), [len(cloud) for cloud in kept])
     return cloud_of(PointsFile(np.concatenate(kept), frame, 30.0), body).cloud
 

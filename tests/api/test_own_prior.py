@@ -11,7 +11,7 @@ from recon.core import plugins
 from recon.core.errors import WeightsError
 from recon.core.skeleton import JOINTS
 from recon.fitting.long import LongReconstruction
-from recon.fitting.methods import class_of, loaded_prior, trait_of
+from recon.fitting.methods import loaded_prior, prior_class, prior_trait
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
 from recon.simulation.points import Corruption, joints3d
@@ -35,27 +35,27 @@ def test_it_keeps_the_laws_of_priors(toy_body):
 def test_ours_are_registered_through_the_same_door():
     """A name was written into eight places of the library; now into `pyproject.toml` alone."""
     assert set(OURS) <= set(plugins.registered_places(plugins.PRIORS))
-    assert [trait_of(name, "completes") for name in OURS] == [False, False, True]
-    assert [trait_of(name, "knows_gravity") for name in OURS] == [True, False, True]
+    assert [prior_trait(name, "completes") for name in OURS] == [False, False, True]
+    assert [prior_trait(name, "knows_gravity") for name in OURS] == [True, False, True]
 
 
 def test_what_did_not_earn_a_name_has_a_place():
     """HUMOS is fitted by its place: for some people feet slip more than without it."""
     assert "humos" not in plugins.registered_places(plugins.PRIORS)
-    assert trait_of("priors.humos.prior:Humos", "knows_gravity")
+    assert prior_trait("priors.humos.prior:Humos", "knows_gravity")
 
 
 def test_a_registered_prior_has_a_name(monkeypatch):
     names = {**plugins.registered_places(plugins.PRIORS), "near": PRIOR}
     monkeypatch.setattr("recon.fitting.methods.registered_places", lambda _: names)
-    assert class_of("near") is NearPoses
+    assert prior_class("near") is NearPoses
     assert type(loaded_prior("near", "open", bundled())) is NearPoses
 
 
 def test_a_package_written_for_version_0_2_works_on():
     """It had no base class: an object with `method(noise, body)`, and traits apart."""
     former = "tests.former_prior:NearPoses"
-    assert not trait_of(former, "knows_gravity")
+    assert not prior_trait(former, "knows_gravity")
     truth = walk(16)
     seen = joints3d(truth, bundled(), Corruption(noise=0.02), 0)
     results = [recon.fit(seen, former, ground=ground) for ground in ("auto", None)]
@@ -74,7 +74,7 @@ def test_a_prior_that_lacks_a_half_is_told_which():
 
 def test_names_of_nobody_are_refused():
     with pytest.raises(WeightsError, match=r"prior: expected .*humor"):
-        class_of("humr")
+        prior_class("humr")
     with pytest.raises(WeightsError, match="cannot be imported"):
         recon.fit(joints3d(walk(4), bundled(), Corruption(), 0), "nobody:Nothing")
 

@@ -13,7 +13,7 @@ from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
-from recon.formats.cameras import guessed_camera, guessed_size
+from recon.formats.cameras import guessed_camera, guessed_image_size
 from recon.reading.clip import load_clip
 from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
@@ -65,10 +65,10 @@ def test_the_guess_is_a_phone_of_75_degrees() -> None:
 def test_the_size_of_images_is_the_smallest_usual_one() -> None:
     """One wild keypoint in some hundreds does not make the image larger."""
     places = np.full((40, 10, 2), (500.0, 1100.0))
-    assert guessed_size(places, np.ones((40, 10))) == (720, 1280)
+    assert guessed_image_size(places, np.ones((40, 10))) == (720, 1280)
     places[0, 0] = 1900.0
-    assert guessed_size(places, np.ones((40, 10))) == (720, 1280)
-    assert guessed_size(np.full((4, 5, 2), 9000.0), np.ones((4, 5))) == (9000, 9000)
+    assert guessed_image_size(places, np.ones((40, 10))) == (720, 1280)
+    assert guessed_image_size(np.full((4, 5, 2), 9000.0), np.ones((4, 5))) == (9000, 9000)
 
 
 def test_keypoints_without_a_calibration_are_read(tmp_path) -> None:

@@ -89,7 +89,7 @@ def test_hypotheses_that_came_to_the_same_motion_are_none(body):
     near = truth.replace(translation=truth.translation + 0.01)
     assert alternatives(fitted(body, truth, [near])) == ()
     alone = fitted(body, truth, [])
-    assert alone.compared == ()
+    assert alone.comparisons == ()
     assert alternatives(alone) == ()
 
 

@@ -59,7 +59,7 @@ def test_a_walk_at_a_wrong_rate(walk: Motion, single: BodyModel, factor: float) 
 def test_a_walk_at_its_own_rate(walk: Motion, single: BodyModel) -> None:
     found = rate_range(walk, single)
     assert found is not None
-    assert found.has_declared
+    assert found.holds_one
     assert found.likeliest == 1.0
     assert rate_finding(walk, single) is None
 
@@ -73,7 +73,7 @@ def test_free_fall_has_one_acceleration(single: BodyModel, fps: float, factor: f
         assert found is None
     else:
         assert found is not None
-        assert not found.has_declared
+        assert not found.holds_one
         assert found.low <= 1 / factor <= 1.1 * found.high
         assert found.evidence == ("the acceleration of its falls against gravity",)
 
@@ -93,14 +93,14 @@ def test_what_was_inferred_is_not_asked(walk: Motion, single: BodyModel) -> None
     observed[:90] = True
     found = rate_range(walk.replace(fps=120.0), single, observed)
     assert found is not None
-    assert not found.has_declared
+    assert not found.holds_one
 
 
 def test_the_likeliest_factor() -> None:
     assert RateRange(0.3, 0.8, ()).likeliest == 0.5
     assert RateRange(1.7, math.inf, ()).likeliest == 2.0
     assert RateRange(0.6, 0.8, ()).likeliest == 0.8
-    assert RateRange(0.9, 1.3, ()).has_declared
+    assert RateRange(0.9, 1.3, ()).holds_one
 
 
 def on_belt(walk: Motion, speed: float) -> Motion:

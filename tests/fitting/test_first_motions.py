@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from recon.fitting.first_motions import error_repetition
+from recon.fitting.first_motions import correlated_frames
 
 
 def lasting_errors(correlation: float, frames: int = 200) -> torch.Tensor:
@@ -24,15 +24,15 @@ def test_frames_whose_errors_last_count_as_fewer(correlation):
     errors[50:60, :5] = 1e6
     offsets = torch.linspace(-20, 20, 30, dtype=torch.float64)[:, None]  # of points: left out
     excess = (1 + correlation) / (1 - correlation) - 1
-    found = error_repetition(errors + offsets, visible, 1.0)
+    found = correlated_frames(errors + offsets, visible, 1.0)
     assert found == pytest.approx(1 + 3 * excess, rel=0.25)
-    half = error_repetition(errors + offsets, visible, 1.0, rate=0.5)
+    half = correlated_frames(errors + offsets, visible, 1.0, rate=0.5)
     assert half == pytest.approx(max(1.0, 1 + 3 * (excess - 1) / 2), rel=0.25)
 
 
 def test_errors_below_the_noise_and_without_frames_change_nothing():
     visible = torch.ones(200, 30, dtype=torch.bool)
-    assert error_repetition(0.1 * lasting_errors(0.6), visible, 1.0) == 1.0
-    assert error_repetition(lasting_errors(0.6), ~visible, 1.0) == 1.0
-    assert error_repetition(torch.zeros(200, 30, 2), visible, 1.0) == 1.0
-    assert error_repetition(lasting_errors(0.95), visible, 1.0) == 16.0
+    assert correlated_frames(0.1 * lasting_errors(0.6), visible, 1.0) == 1.0
+    assert correlated_frames(lasting_errors(0.6), ~visible, 1.0) == 1.0
+    assert correlated_frames(torch.zeros(200, 30, 2), visible, 1.0) == 1.0
+    assert correlated_frames(lasting_errors(0.95), visible, 1.0) == 16.0

@@ -11,7 +11,7 @@ from recon.core.skeleton import joint_index
 from recon.fitting.interpolation import (
     curve_correlation,
     cycles_of,
-    foot_lift,
+    foot_above_other,
     interpolated_cycle,
     motion_of_cycle,
 )
@@ -113,7 +113,7 @@ def test_a_file_of_one_cycle_is_taken_whole(body):
 
 def test_feet_agree_with_themselves_and_not_with_the_other_side(body):
     lifts = torch.stack([
-        foot_lift(body.pose(Anchors.of(cycle(body, **about)).motion(
+        foot_above_other(body.pose(Anchors.of(cycle(body, **about)).motion(
             torch.zeros(body.shape_size), ANCHORS - 1.0)).joints)
         for about in ({}, {"phase": math.pi})
     ])  # fmt: skip

@@ -156,13 +156,13 @@ def test_observations_with_clocks_of_their_own_add_up(toy_body):
     truth = swaying(toy_body, fps=100.0)
     first = seen(toy_body, truth.at(5.0 + torch.arange(60).double() / 10, 10.0), noise=0.0)
     later = seen(toy_body, truth.at(6.013 + torch.arange(60).double() / 15.1, 15.1), noise=0.0)
-    recording = LongRecording.cut([first, later], toy_body, 2.0, 0.5)
+    recording = LongRecording.cut_into_windows([first, later], toy_body, 2.0, 0.5)
     rows = list(range(len(recording.windows.starts)))
-    batches = list(recording.batches(rows))
+    batches = list(recording.batches_of_equal_clocks(rows))
     assert sorted(row for batch in batches for row in batch) == rows
     assert len(batches) == len(rows)  # the second clock stands differently every time
-    alone = LongRecording.cut([first], toy_body, 2.0, 0.5)
-    assert list(alone.batches(rows)) == [rows]
+    alone = LongRecording.cut_into_windows([first], toy_body, 2.0, 0.5)
+    assert list(alone.batches_of_equal_clocks(rows)) == [rows]
     assert not recording.observations_of(0)[1].visible[0, 0].any()  # it has not begun
     result = fit_long([first, later], Rigid(), toy_body, window=2.0, overlap=0.5)
     assert error(toy_body, result.clip(0), truth[0]) < 0.02
@@ -269,5 +269,7 @@ def test_long_files_are_fitted_by_windows_and_the_report_says_so(body, tmp_path,
 def test_windows_of_slow_clocks_have_frames_enough(fps, toy_body):
     """A frame every half a minute ended in a division by zero, every two seconds in a refusal."""
     slow = swaying(toy_body, seconds=4.0).replace(fps=fps, start_time=0.0)
-    cut = LongRecording.cut((seen(toy_body, slow),), toy_body, window=6.0, overlap=1.0)
+    cut = LongRecording.cut_into_windows(
+        (seen(toy_body, slow),), toy_body, window=6.0, overlap=1.0
+    )
     assert cut.windows.frames >= 8

@@ -8,7 +8,7 @@ from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.fitting.methods import FitOptions
-from recon.fitting.stages import prior_stages, with_physics, without_root
+from recon.fitting.stages import from_first_pose_stage, prior_stages, with_physics
 from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from recon.physics import energies as physics
@@ -57,7 +57,7 @@ def test_weights_that_the_caller_chose_are_kept():
 def test_one_image_does_not_place_the_rest_body_again(prior):
     """It would trade stretched limbs against distance."""
     every = prior_stages(FitOptions(prior=prior), 0.02, bundled())(data())
-    some = without_root(every)
+    some = from_first_pose_stage(every)
     assert [stage.name for stage in every[-len(some) :]] == [stage.name for stage in some]
     assert not some[0].free <= {"translation", "root"}
     dropped = every[: len(every) - len(some)]

@@ -17,7 +17,7 @@ from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting import gait
-from recon.fitting.cycles import NAMED_NOISE, moments_per_second, on_fast_clock
+from recon.fitting.cycles import NAMED_NOISE, at_least_30_hz, seen_moments_per_second
 from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches_of_cycles
 from recon.fitting.recording import WholeRecording, given_or_usual_noise
 from recon.simulation.points import Corruption, landmarks3d
@@ -92,23 +92,23 @@ def test_one_moment_is_refused(truth):
 
 def test_a_slow_clock_becomes_fast_and_shows_the_same(truth):
     """At 5 Hz a motion of poses could not move as people do, and every scan counted for six."""
-    markers = on_fast_clock(seen(truth, 5.0))
+    markers = at_least_30_hz(seen(truth, 5.0))
     assert markers.fps == 30
-    assert moments_per_second([markers]) == pytest.approx(5.0)
+    assert seen_moments_per_second([markers]) == pytest.approx(5.0)
     vertices = BODY.pose(truth.resample(5.0)).vertices[:, ::40]
     present = torch.ones(vertices.shape[:2], dtype=torch.bool)
     cloud = PointCloud(vertices[None], present[None], Surfels.of(BODY, 500), 5.0)
-    fast = on_fast_clock(cloud)
+    fast = at_least_30_hz(cloud)
     assert isinstance(fast, PointCloud)
     assert fast.fps == 30
     assert torch.equal(fast.points[:, ::6], cloud.points)
     assert int(fast.present.any(-1).sum()) == vertices.shape[0]
-    assert on_fast_clock(seen(truth, 30.0)).fps == 30
+    assert at_least_30_hz(seen(truth, 30.0)).fps == 30
 
 
 def test_scans_at_odd_times_count_as_much_on_a_fast_clock(truth):
     """On the clock of 200 Hz that scans at odd times need, each counted 0.15 of a moment."""
-    slow, fast = on_fast_clock(seen(truth, 5.0)), seen(truth, 200.0)
+    slow, fast = at_least_30_hz(seen(truth, 5.0)), seen(truth, 200.0)
     shown = torch.zeros_like(fast.visible)
     shown[:, ::40] = fast.visible[:, ::40]
     odd = Markers3D(fast.positions, shown, fast.vertices, 200.0)

@@ -10,7 +10,7 @@ from recon.body.identities import identity
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
-from recon.fitting.retargeting import by_physics, retarget
+from recon.fitting.retargeting import retarget, retarget_by_physics
 from recon.formats.motions import load_motion
 from recon.physics.metrics import physics_metrics, physics_samples
 from tests.priors.tiny_humos import tiny_prior
@@ -59,7 +59,7 @@ def test_long_clips_are_joined_from_windows_without_a_seam(prior):
 
 def test_without_a_network_feet_slide_less_than_those_of_a_copy():
     walk = a_walk(BODY, seconds=2.0, fps=30.0).replace(start_time=3.0)
-    made, copy = by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
+    made, copy = retarget_by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
     assert (made.frames, made.fps, made.start_time) == (walk.frames, 30.0, 3.0)
     torch.testing.assert_close(made.shape, other())
     assert float((made.translation - copy.translation)[:, :2].norm(dim=-1).max()) < 0.1
@@ -72,7 +72,7 @@ def test_without_a_network_feet_slide_less_than_those_of_a_copy():
 
 def test_without_a_network_windows_follow_the_path_of_the_whole_clip():
     walk = a_walk(BODY, seconds=12.0, fps=20.0)
-    made, copy = by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
+    made, copy = retarget_by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
     assert made.frames == walk.frames
     assert float((made.translation - copy.translation)[:, :2].norm(dim=-1).max()) < 0.1
 

@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.fitting.retargeting import flying_frames, settled_on_ground
+from recon.fitting.retargeting import airborne_frames, corrected_on_ground
 from recon.method.protocols import Decoded, Estimate
 from recon.physics.energies import floating, slide
 
@@ -31,7 +31,7 @@ def standing(body, speed=0.0, height=0.0, frames=31) -> Motion:
 
 
 def stood(motion, body):
-    return settled_on_ground(motion, motion, flying_frames(motion, body), body).detach()
+    return corrected_on_ground(motion, motion, airborne_frames(motion, body), body).detach()
 
 
 def energy(measure, motion, body) -> float:
@@ -75,7 +75,7 @@ def test_every_clip_for_itself(body):
 
 def test_who_flies_is_left_in_the_air(body):
     above = standing(body, height=0.1)
-    assert bool(flying_frames(above, body).all())
+    assert bool(airborne_frames(above, body).all())
     found = stood(above, body)
     assert float((found.translation - above.translation).abs().max()) < 1e-2
 
@@ -85,7 +85,7 @@ def test_accelerations_are_those_of_the_other_motion(body):
     still = standing(body)
     up = 0.003 * torch.arange(still.frames).fmod(2)[:, None] * torch.tensor([0.0, 0.0, 1.0])
     trembling = still.replace(translation=still.translation + up)
-    found = settled_on_ground(trembling, still, flying_frames(still, body), body).detach()
+    found = corrected_on_ground(trembling, still, airborne_frames(still, body), body).detach()
 
     def shake(motion):
         return float(motion.translation[0, :, 2].diff(n=2).abs().mean())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats.texts import numbers_in
+from recon.formats.texts import parsed_numbers
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import head_to_foot_length
 from tests.formats.test_markers import make_markers, write_c3d
@@ -86,12 +86,12 @@ def test_numbers_are_read_in_pieces() -> None:
     values = rng.standard_normal(200_000)
     text = " \n".join(map(repr, values.tolist()))
     assert len(text) > 3 << 20
-    assert np.array_equal(numbers_in(text, len(values)), values)
-    assert np.array_equal(numbers_in("x 1 2 3", 3, 1), [1, 2, 3])
-    assert np.array_equal(numbers_in(b"1 2 3 ", 3), [1, 2, 3])
+    assert np.array_equal(parsed_numbers(text, len(values)), values)
+    assert np.array_equal(parsed_numbers("x 1 2 3", 3, 1), [1, 2, 3])
+    assert np.array_equal(parsed_numbers(b"1 2 3 ", 3), [1, 2, 3])
     for bad, count in (("1 2", 3), ("1 2 3 4", 3), ("1 b 2", 3), ("9" * 3_000_000, 2)):
         with pytest.raises(ValueError, match=r"number|convert"):
-            numbers_in(bad, count)
+            parsed_numbers(bad, count)
 
 
 def test_points_with_a_negative_residual_are_not_seen(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from recon.core.camera import pose_looking_at as look_at
 from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS
 from recon.core.layouts import LAYOUTS
 from recon.core.skeleton import JOINTS
-from recon.fitting.hands import HandView, _angle_precision, _Fingers
+from recon.fitting.hands import HandView, _angle_precision, _FingerProblem
 from recon.keypoints3d.labels import _point_of_hand, are_keypoints, split_off_hands
 from recon.keypoints3d.reader import read_session
 from tests.hands.made import FPS, hand_points, noisy, person, pose_table
@@ -166,7 +166,7 @@ def test_derivative():
 
     turns, place = so3.exp(drawn(5, 3)), drawn(5, 3)
     view = HandView(0.1 * drawn(5, 21, 3) + place[:, None], torch.full((5, 21), 20.0).double())
-    problem = _Fingers((view,), model, 1, turns, place, 30.0, _angle_precision(), 1.0, 0.01)
+    problem = _FingerProblem((view,), model, 1, turns, place, 30.0, _angle_precision(), 1.0, 0.01)
     x = 0.3 * drawn(1, 5 * 28 + 20)
     rows = torch.zeros(1, dtype=torch.long)
     own = problem.model(x, rows).gradient
