@@ -71,7 +71,7 @@ class Levers(TensorStruct):
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
-        # a lever arm is the point minus the joint that turns it
+        # lever arms are Σ share (point - joint) over joints below the turning one: this is Σ share
         hung = torch.diag_embed(points.share @ below.mT)
         arms[..., 3] -= hung
         return cls(

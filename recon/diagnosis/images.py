@@ -296,7 +296,7 @@ _MAX_LENGTH_RATIO = 1.1
 
 
 def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
-    """Return pairs of neighbouring keypoints along a limb, with the limb's root keypoint."""
+    """Return, by the pair (elbow, wrist) or (knee, ankle), its limb's shoulder or hip."""
     chains = [
         [f"{side}_{part}" for part in limb]
         for side in ("left", "right")

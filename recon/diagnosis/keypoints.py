@@ -373,7 +373,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # exchanged names show only after camera poses were corrected
+    if contradictions.repairs:  # swapped left and right show only with right camera poses
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

@@ -157,7 +157,7 @@ class Neighbourhood:
 
     @cached_property
     def translated(self) -> Estimate:
-        """Estimates: the motion, moved along x, y, z, and with each ground coordinate moved."""
+        """Copies of the estimate: itself, moved along x, y, z, and by each ground coordinate."""
         rows = 1 + _AXES + self.ground_coordinates
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place = motion.translation.clone()

@@ -289,8 +289,8 @@ def settle_body_layout(
             )
         if misfits[layout] > GOOD:
             raise FormatError(
-                f"{name}: in the layout {layout} the points are no body: bones change their "
-                f"lengths or have lengths that no person's have{_hint_at_layout(fitting)}"
+                f"{name}: read in the layout {layout}, the points do not form a body: lengths of "
+                f"bones change, or nobody has such bones{_hint_at_layout(fitting)}"
             )
         return layout, f"layout {layout}: given"
     if not misfits:

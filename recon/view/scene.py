@@ -342,7 +342,7 @@ class Show:
 
     @property
     def legend(self) -> tuple[tuple[str, Colour], ...]:
-        """Words and colours of the legend of pictures, without the ground."""
+        """Label and colour of each entry of a picture's legend; the ground has no entry."""
         shown = [layer for layer in self.layers if layer.shown and layer.word != "ground"]
         entries = [(layer.word, layer.colour) for layer in shown] + list(self.limb_legend)
         if any(view.pixels is not None for view in self.cameras):

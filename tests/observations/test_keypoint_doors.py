@@ -241,7 +241,7 @@ def test_a_session_folder_of_freemocap(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"layout": "coco17"}, r"no body.*h36m17 fits.*--layout"),
+        ({"layout": "coco17"}, r"do not form a body.*h36m17 fits.*--layout"),
         ({"layout": "halpe26"}, r"has 26 keypoints, the file 17"),
         ({"unit": "mm"}, r"unit is mm \(given\).*give --unit m"),
         ({"frame_rate": None}, r"--frame-rate"),

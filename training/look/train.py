@@ -264,7 +264,7 @@ def train(settings: LookTraining) -> Path:
     """
     with logged_in_folder(settings):
         body = BodyModel.load()
-        # poses on the ground and on furniture teach, too, although steps there may not be learned
+        # also learn poses of people who lie or sit, whose steps are left out of HuMoR's training
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
         return LookRun(settings, learned, held_out).train_to_end()
