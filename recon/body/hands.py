@@ -212,7 +212,7 @@ def pose_fingers(
     return torch.stack(places[count:], -2), torch.stack(turns[count:], -3)
 
 
-def finger_skin(
+def skin_weights_with_fingers(
     motion: Motion, body: BodyModel
 ) -> tuple[Float[Tensor, "vertices 52"], Float[Tensor, "30 4 4"]]:
     """Skinning weights of body and finger joints, and inverse bind matrices of finger joints.

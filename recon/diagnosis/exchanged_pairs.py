@@ -16,7 +16,7 @@ from recon.diagnosis.images import (
     Images,
     bone_length_saved,
     keeps_facing_one_side,
-    neighbours_on_limbs,
+    limb_root_by_keypoint_pair,
     undoing_improves_fit,
 )
 
@@ -173,7 +173,7 @@ def exchanged_throughout(images: Images) -> list[ExchangedPair]:
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):
-        for pair in neighbours_on_limbs(images):
+        for pair in limb_root_by_keypoint_pair(images):
             saved = bone_length_saved(images, v, pair)
             known = saved[np.isfinite(saved)]
             if known.size and (mean := float(known.mean())) > _MIN_LENGTH_SAVED_M:

@@ -295,7 +295,7 @@ _MAX_LENGTH_RATIO = 1.1
 """Largest plausible ratio of a bone's length in an image to its length at the body's size."""
 
 
-def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
+def limb_root_by_keypoint_pair(images: Images) -> dict[tuple[int, int], int]:
     """Return, by the pair (elbow, wrist) or (knee, ankle), its limb's shoulder or hip."""
     chains = [
         [f"{side}_{part}" for part in limb]
@@ -313,7 +313,7 @@ def bone_length_saved(
 
     NaN where not the whole limb is seen; zero for keypoints that are no neighbours on a limb.
     """
-    root = neighbours_on_limbs(images).get(pair)
+    root = limb_root_by_keypoint_pair(images).get(pair)
     if root is None:
         return np.zeros(images.pixels.shape[1])
     there = images.seen[view][:, [root, *pair]].all(-1)

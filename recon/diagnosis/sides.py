@@ -26,7 +26,7 @@ from recon.diagnosis.images import (
     Images,
     confirmed_sides,
     fits_better_exchanged,
-    neighbours_on_limbs,
+    limb_root_by_keypoint_pair,
 )
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
@@ -245,7 +245,7 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         return []
     states = np.eye(views + 1, views, -1, dtype=bool)
     order = np.arange(len(images.points))
-    halves = [[*neighbours_on_limbs(images)][k::2] for k in (0, 1)]
+    halves = [[*limb_root_by_keypoint_pair(images)][k::2] for k in (0, 1)]
     sides = [(a, b) for a, b in enumerate(images.counterparts.tolist()) if a < b]
     found: list[ExchangedPair] = []
     for pairs in filter(None, (sides, *halves)):

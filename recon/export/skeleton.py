@@ -56,11 +56,14 @@ class Skeleton:
         offsets = offsets_from_parents(rest)
         if motion.hands is None:
             return cls(JOINTS, PARENTS, offsets, motion.rotations, body.weights, binds)
-        from recon.body.hands import finger_offsets, finger_skin  # imported only for fingers
+        from recon.body.hands import (  # imported only for fingers
+            finger_offsets,
+            skin_weights_with_fingers,
+        )
         from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
         count = len(HAND_JOINTS)
-        weights, fingers = finger_skin(motion, body)
+        weights, fingers = skin_weights_with_fingers(motion, body)
         ways = finger_offsets(motion, body)[:count].detach().float().numpy()
         return cls(
             (*JOINTS, *HAND_JOINTS), (*PARENTS, *HAND_PARENTS[:count]),

@@ -29,7 +29,7 @@ from recon.physics.zmp import (
     distances_to_support,
     share_carried,
     zmp,
-    zmp_as_released,
+    zmp_of_humos_code,
 )
 
 JOINT_CONTACT = 0.015
@@ -146,7 +146,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
         for mass in kinds
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
-    return torch.stack((zmp_as_released(old), zmp(new)), -2), share_carried(new) >= 0.5
+    return torch.stack((zmp_of_humos_code(old), zmp(new)), -2), share_carried(new) >= 0.5
 
 
 def _at_frames(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:

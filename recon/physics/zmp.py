@@ -8,7 +8,7 @@ from torch import Tensor
 from recon.body.parts import GRAVITY
 from recon.physics.dynamics import Dynamics
 
-RELEASED_GRAVITY = 9.8
+HUMOS_CODE_GRAVITY = 9.8
 """m/s², in the released code of HUMOS."""
 
 LEAST_LOAD = 0.1
@@ -41,13 +41,13 @@ def zmp(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
     return _zmp_by_force(dynamics, normal_force(dynamics).maximum(floor))
 
 
-def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
+def zmp_of_humos_code(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
     """Return the zero-moment point as HUMOS's released code computes it, metres.
 
     Its gravity points up and its sign is reversed: the two cancel but in the denominator, which
     is M (g - a_z): Z' - C = (Z - C) (g + a_z) / (g - a_z), singular in a push-off of 1 g.
     """
-    force = dynamics.mass[..., None] * (RELEASED_GRAVITY - dynamics.acceleration[..., 2])
+    force = dynamics.mass[..., None] * (HUMOS_CODE_GRAVITY - dynamics.acceleration[..., 2])
     return torch.nan_to_num(_zmp_by_force(dynamics, force), nan=0.0, posinf=0.0, neginf=0.0)
 
 

@@ -81,7 +81,7 @@ def camera_of_images(camera: CameraArrays, found: Detections) -> tuple[CameraArr
 _SHOTS_LISTED = 8
 
 
-def in_one_shot(
+def cut_to_longest_shot(
     found: Detections, rate: float, between: tuple[float, float] | None
 ) -> tuple[Detections, tuple[int, int] | None, str]:
     """The people of the shot of a film in which they are seen longest.

@@ -27,7 +27,7 @@ from recon.reading.same_person import across_views
 from recon.reading.stated import (
     background_camera,
     camera_of_images,
-    in_one_shot,
+    cut_to_longest_shot,
     rate_of_views,
     read_sized_detections,
 )
@@ -110,7 +110,7 @@ def read_views(
     first, frames = _frame_range(found)
     shot = None
     if len(found) == 1:
-        found[0], shot, cut = in_one_shot(found[0], fps, between)
+        found[0], shot, cut = cut_to_longest_shot(found[0], fps, between)
         notes = [*notes, *([cut] if cut else [])]
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()

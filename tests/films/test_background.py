@@ -16,7 +16,7 @@ from recon.films.background import FollowedPoints, points_if_camera_moves
 from recon.films.carrying import find_path
 from recon.films.turning import find_turning
 from recon.formats.cameras import guessed_camera
-from recon.reading.stated import background_camera, in_one_shot
+from recon.reading.stated import background_camera, cut_to_longest_shot
 
 WIDTH, HEIGHT, FOCAL, FRAMES = 480, 360, 450.0, 24
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2
@@ -193,7 +193,7 @@ def test_path_that_cannot_be_told_is_said_to_be_needed():
 
 def test_background_of_another_shot_does_not_count():
     found = replace(people(panned()), shots=(16,))
-    kept, _, _ = in_one_shot(found, 30.0, None)
+    kept, _, _ = cut_to_longest_shot(found, 30.0, None)
     assert kept.background is not None
     assert kept.background.frame.max() == 15
 

@@ -7,7 +7,7 @@ import pytest
 
 from recon.detections.records import detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
-from recon.reading.stated import in_one_shot
+from recon.reading.stated import cut_to_longest_shot
 from recon.reading.tracks import tracks_of_people
 
 
@@ -21,7 +21,7 @@ def film(seen):
 
 def test_the_shot_in_which_people_are_seen_longest_is_taken():
     """People were linked across cuts, to one person who jumps."""
-    found, shot, note = in_one_shot(film([*range(5, 30), *range(60, 75)]), 10.0, None)
+    found, shot, note = cut_to_longest_shot(film([*range(5, 30), *range(60, 75)]), 10.0, None)
     assert shot == (0, 29)
     (track,) = tracks_of_people(found)
     assert (track.frame[0], track.frame[-1]) == (5, 29)
@@ -31,7 +31,7 @@ def test_the_shot_in_which_people_are_seen_longest_is_taken():
 
 
 def test_the_caller_chooses_a_shot_by_time():
-    found, shot, _ = in_one_shot(film([*range(5, 30), *range(60, 75)]), 10.0, (5.5, 9.0))
+    found, shot, _ = cut_to_longest_shot(film([*range(5, 30), *range(60, 75)]), 10.0, (5.5, 9.0))
     assert shot == (50, 99)
     assert set(found.frame.tolist()) == set(range(60, 75))
 
@@ -42,7 +42,7 @@ def test_shots_are_kept_with_the_detections(tmp_path, shots):
     np.savez(tmp_path / "a.npz", **detection_arrays(one))
     again = read_detection_arrays(tmp_path / "a.npz")
     assert again.shots == shots
-    assert (in_one_shot(again, 10.0, None)[1] is None) == (shots == ())
+    assert (cut_to_longest_shot(again, 10.0, None)[1] is None) == (shots == ())
 
 
 def test_nobody_is_followed_across_a_cut():

@@ -4,7 +4,7 @@ import numpy as np
 import pygltflib
 import torch
 
-from recon.body.hands import finger_skin, pose_fingers
+from recon.body.hands import pose_fingers, skin_weights_with_fingers
 from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
@@ -44,7 +44,7 @@ def test_glb_skins_fingers(tmp_path):
         places.append(places[parent] + turns[parent] @ torch.from_numpy(skeleton.offsets[k]))
     fingers, _ = pose_fingers(somebody.motion, somebody.body)
     assert torch.allclose(torch.stack(places[22:], 1), fingers[:, :30], atol=1e-5)
-    weights, binds = finger_skin(somebody.motion, somebody.body)
+    weights, binds = skin_weights_with_fingers(somebody.motion, somebody.body)
     assert torch.allclose(weights.sum(-1), torch.ones(len(weights)), atol=1e-5)
     assert torch.allclose(weights[:, 20] + weights[:, 22:37].sum(-1), somebody.body.weights[:, 20],
                           atol=1e-4)  # fmt: skip

@@ -6,11 +6,11 @@ from torch import Tensor
 from recon.physics.dynamics import Dynamics
 from recon.physics.zmp import (
     GRAVITY,
-    RELEASED_GRAVITY,
+    HUMOS_CODE_GRAVITY,
     relative_load,
     share_carried,
     zmp,
-    zmp_as_released,
+    zmp_of_humos_code,
 )
 from tests.physics.point_masses import points_dynamics
 
@@ -37,7 +37,7 @@ def parabola(points: Tensor, accelerations: Tensor) -> Tensor:
 def test_who_stands_still_presses_under_the_centre_of_mass() -> None:
     points = torch.rand(50, 3, dtype=torch.float64).expand(3, 50, 3)
     moving = points_dynamics(points, torch.rand(50, dtype=torch.float64), FPS)
-    for kind in (zmp, zmp_as_released):
+    for kind in (zmp, zmp_of_humos_code):
         assert (kind(moving) - moving.centre[..., :2]).abs().max() < 1e-6
     assert torch.allclose(relative_load(moving), torch.ones(1, dtype=torch.float64))
 
@@ -94,10 +94,10 @@ def test_free_fall_has_no_weight_and_a_finite_gradient() -> None:
 def test_the_released_one_differs_by_its_denominator_alone() -> None:
     moving = dynamics((1.0, -0.5, 2.5), (4.0, -7.0, 1.0))
     centre = moving.centre[..., :2]
-    ratio = (GRAVITY + 2.5) / (RELEASED_GRAVITY - 2.5)
-    assert torch.allclose(zmp_as_released(moving) - centre, ratio * (zmp(moving) - centre))
+    ratio = (GRAVITY + 2.5) / (HUMOS_CODE_GRAVITY - 2.5)
+    assert torch.allclose(zmp_of_humos_code(moving) - centre, ratio * (zmp(moving) - centre))
 
 
 def test_the_released_one_is_finite_at_its_singularity() -> None:
-    pushed = dynamics((1.0, 0.0, RELEASED_GRAVITY), (0.0, 1.0, 0.0))
-    assert zmp_as_released(pushed).isfinite().all()
+    pushed = dynamics((1.0, 0.0, HUMOS_CODE_GRAVITY), (0.0, 1.0, 0.0))
+    assert zmp_of_humos_code(pushed).isfinite().all()
