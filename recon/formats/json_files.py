@@ -4,7 +4,7 @@ import gc
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -155,27 +155,6 @@ def _stated_number(entry: Any) -> int | None:
             if isinstance(entry.get(key), int) and entry[key] >= 0:
                 return entry[key]
     return None
-
-
-def people_of_frames(
-    frames: Frames, key: str, name: str, expected: str
-) -> Iterator[tuple[int, dict[str, Any], str]]:
-    """Yield each person's frame number, record, and name for messages, from lists under `key`.
-
-    Empty frames are frames without people.
-
-    Raises:
-        ValueError: when a frame has no such list, or an item of it is no dictionary.
-    """
-    for number, entry in frames:
-        if not entry:
-            continue
-        place = f"{name}, frame {number}"
-        people = entry.get(key) if isinstance(entry, dict) else None
-        if not isinstance(people, list) or not all(isinstance(one, dict) for one in people):
-            raise FormatError(f"{place}: expected {expected}")
-        for person in people:
-            yield number, person, place
 
 
 def as_floats(value: Any, name: str) -> np.ndarray:
