@@ -86,13 +86,13 @@ class Naming:
                 former = self.marker.copy()
                 body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
-                self._scores_anew(body, table)
+                self._sum_log_odds_again(body, table)
                 self._name_tracks()
                 if (self.marker == former).all():
                     break
             else:
                 body = self._calibrated_body(body, every)
-        self._scores_anew(body, body)
+        self._sum_log_odds_again(body, body)
         self._name_tracks()
 
     def _first_body(self) -> tuple[FoundBody, int]:
@@ -248,7 +248,7 @@ class Naming:
         x[rows, marker], seen[rows, marker] = self.seen.positions[frames[rows], points], True
         return x, seen
 
-    def _scores_anew(self, body: MarkedBody, scored: MarkedBody) -> None:
+    def _sum_log_odds_again(self, body: MarkedBody, scored: MarkedBody) -> None:
         """Pose `body` by the named markers; sum log odds of tracks anew by markers of `scored`."""
         from scipy.interpolate import CubicSpline
 
