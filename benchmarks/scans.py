@@ -57,7 +57,7 @@ def scanned_cycle(
     Raises:
         ValueError: when the cycle does not last 0.3 to 3 s.
     """
-    seconds = (cycle.frames - 1) / cycle.fps
+    seconds = cycle.duration
     if not SHORTEST - 1e-6 <= seconds <= LONGEST + 1e-6:
         raise ValueError(f"{name}: a cycle lasts {SHORTEST} to {LONGEST} s, got {seconds:.2f} s")
     return scanned(name, subject, cycle, body, seed)

@@ -41,7 +41,7 @@ class Anchors(TensorStruct):
     @classmethod
     def of(cls, motion: Motion) -> "Anchors":
         """Return 100 anchors of a motion (batched or not) that is one cycle from end to end."""
-        last = (motion.frames - 1) / motion.fps
+        last = motion.duration
         moments = torch.linspace(0, last, ANCHORS, dtype=torch.float64)
         at = motion.at(motion.start_time + moments, (ANCHORS - 1) / max(last, 1e-9))
         times = moments.to(motion.translation).expand(at.translation.shape[:-1])

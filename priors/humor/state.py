@@ -183,14 +183,13 @@ def _rotated(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"
 def at_tempo(motion: Motion, tempo: float) -> Motion:
     """Resample a motion so that, when read at 30 Hz, it runs at `tempo` times its speed.
 
-    At its own speed, its last frame is at most 1/30 s after that of the motion. Read slower, both
-    are at the same time, and the tempo is changed a little for it.
+    With a tempo of 1, frames are 1/30 s apart and the last one is less than a frame after the end
+    of the motion. With another, it is at the end; the tempo is changed so that frames fit.
     """
-    seconds = (motion.frames - 1) / motion.fps
-    steps = math.ceil(seconds * REFERENCE_FPS / tempo - 1e-6)
+    steps = math.ceil(motion.duration * REFERENCE_FPS / tempo - 1e-6)
     if tempo == 1.0:
-        return motion.resample(REFERENCE_FPS, motion.start_time + steps / REFERENCE_FPS)
-    return motion.resample(steps / seconds)
+        return motion.resample(REFERENCE_FPS, steps / REFERENCE_FPS)
+    return motion.resample(steps / motion.duration)
 
 
 def relabelled_at_30_hz(motion: Motion) -> Motion:

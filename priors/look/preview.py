@@ -152,7 +152,7 @@ def seen_points(
     if not any(bool(one.shown.any()) for one in named):
         raise ObservationError("the method look: expected visible points, but none is visible")
     start = min(one.start_time for one in named)
-    stop = max(one.start_time + (one.moments - 1) / one.fps for one in named)
+    stop = max(one.start_time + one.duration for one in named)
     # both ends of the clip get a frame, so the rate may be slightly above 30 Hz
     steps = math.ceil((stop - start) * REFERENCE_FPS - 1e-3)
     fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS

@@ -44,7 +44,7 @@ def cycle_report(
     moments = np.unique(np.concatenate([seen_times(one) for one in found.observations]).round(3))
     difference = swing_difference_from_textbook(motion)
     numbers = {
-        "seconds": (motion.frames - 1) / motion.fps,
+        "seconds": motion.duration,
         "moments_seen": len(moments),
         "code_distance": float(latent) / prior.code_size,
         "swing_difference": difference,
@@ -79,6 +79,6 @@ def cycle_report(
 
 def swing_difference_from_textbook(motion: Motion) -> float | None:
     """Return how far hip flexion is from textbook gait; None if no cycle fills the motion."""
-    min_seconds = _COVERED * (motion.frames - 1) / motion.fps
+    min_seconds = _COVERED * motion.duration
     costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= min_seconds]
     return min(costs, default=None)

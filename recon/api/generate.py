@@ -140,7 +140,7 @@ def predict(
         if not 0 < last < known.frames:
             raise ReconError(
                 f"at: expected a time after the first frame of {given.name} and not after its "
-                f"last, {(known.frames - 1) / known.fps:.3f} s; got {at}"
+                f"last, {known.duration:.3f} s; got {at}"
             )
         known = known.window(0, last + 1)
     if known.frames < 2:

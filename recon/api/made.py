@@ -136,10 +136,9 @@ class MotionResults:
     def __repr__(self) -> str:
         """A summary of at most ten lines: number, lengths, and findings."""
         motion = self.made[0].motion
-        seconds = (motion.frames - 1) / motion.fps
         first = (
-            f"{len(self)} motions ({self.noun}) of {motion.frames} frames, {seconds:.2f} s at "
-            f"{motion.fps:g} frames per second"
+            f"{len(self)} motions ({self.noun}) of {motion.frames} frames, "
+            f"{motion.duration:.2f} s at {motion.fps:g} frames per second"
         )
         kept = [one_line(repr(one).splitlines()[0]) for one in self.made]
         found = [f"warning: {finding.message}" for finding in self.warnings]

@@ -301,10 +301,10 @@ def result_of(
     first = clip.observations[0]
     # completed data may have few frames per second; then the result has the fit's frame rate
     rate = max(first.fps, motion.fps) if completes else first.fps
-    seen = max(one.start_time + (one.moments - 1) / one.fps for one in clip.observations)
+    seen = max(one.start_time - motion.start_time + one.duration for one in clip.observations)
     # motions at the 30 Hz of HuMoR's networks end up to a frame after the last observation
-    stop = motion.stop_time if completes else min(seen, motion.stop_time)
-    motion = motion.resample(rate if fps is None else fps, stop)
+    duration = motion.duration if completes else min(seen, motion.duration)
+    motion = motion.resample(rate if fps is None else fps, duration)
     T, ground = found.T_world_recording[0].double().clone(), 0.0 if found.grounded else None
     if found.grounded and clip.T_recording_camera is None and not found.ground_known:
         # 3D data with z up keep their coordinates, in which the ground has the fitted height

@@ -43,9 +43,8 @@ def in_ten_lines(first: str, known: Sequence[str], found: Sequence[str]) -> str:
 
 def described_motion(motion: Motion, body_height: float) -> str:
     """Return a text: frames, duration and rate of a motion, and the body height in metres."""
-    seconds = (motion.frames - 1) / motion.fps
     return (
-        f"{motion.frames} frames, {seconds:.2f} s at {motion.fps:g} frames per second, "
+        f"{motion.frames} frames, {motion.duration:.2f} s at {motion.fps:g} frames per second, "
         f"a person of {body_height:.2f} m"
     )
 

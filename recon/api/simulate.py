@@ -109,10 +109,9 @@ class Simulated:
 
     def __repr__(self) -> str:
         """A summary of at most ten lines: what was simulated, how long, and by which cameras."""
-        seconds = (self.truth.frames - 1) / self.truth.fps
         first = (
-            f"Simulated {self.kind}: {self.truth.frames} moments, {seconds:.2f} s at "
-            f"{self.truth.fps:g} per second"
+            f"Simulated {self.kind}: {self.truth.frames} moments, "
+            f"{self.truth.duration:.2f} s at {self.truth.fps:g} per second"
         )
         return in_ten_lines(first, [f"camera {name}" for name in self.files if name], [])
 

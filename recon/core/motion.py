@@ -72,9 +72,14 @@ class Motion(TensorStruct):
         return self.start_time + count / self.fps
 
     @property
+    def duration(self) -> float:
+        """Time from the first frame to the last one, seconds."""
+        return (self.frames - 1) / self.fps
+
+    @property
     def stop_time(self) -> float:
         """Time of the last frame, seconds."""
-        return self.start_time + (self.frames - 1) / self.fps
+        return self.start_time + self.duration
 
     def window(self, start: int, stop: int) -> "Motion":
         """Return frames start, ..., stop - 1 as a motion that keeps their times."""
@@ -103,7 +108,7 @@ class Motion(TensorStruct):
         return self.continued_at(times, fps)
 
     def continued_at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
-        """Interpolate as `at` does; after the last frame, velocities are those just before it."""
+        """Interpolate as `at` does; after the last frame, go on at the velocities before it."""
         start, last, slack = self.start_time, self.frames - 1, 1e-6 * self.fps
         place = (times.double() - start) * self.fps
         place = torch.where((place - place.round()).abs() < slack, place.round(), place)
@@ -134,13 +139,12 @@ class Motion(TensorStruct):
             rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),
         )
 
-    def resample(self, fps: float, stop: float | None = None) -> "Motion":
+    def resample(self, fps: float, duration: float | None = None) -> "Motion":
         """Interpolate the motion at another frame rate (Hz), from the same start time.
 
-        Its last frame is the last one until `stop`, a time (s), by default the motion's end.
+        The last frame is at most `duration` (s) after the first, by default the motion's duration.
         """
-        stop = self.stop_time if stop is None else stop
-        count = int((stop - self.start_time) * fps + 1e-6) + 1
+        count = int((self.duration if duration is None else duration) * fps + 1e-6) + 1
         if fps == self.fps and count == self.frames:
             return self
         steps = torch.arange(count, dtype=torch.float64, device=self.translation.device)

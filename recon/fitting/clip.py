@@ -206,7 +206,7 @@ class ClipProblem:
     def is_long(self) -> bool:
         """Whether the recording is fitted by windows, as it is longer than `LONG`."""
         motion = self.guess.motion
-        return (motion.frames - 1) / motion.fps > LONG
+        return motion.duration > LONG
 
     @property
     def optimised_unknowns(self) -> frozenset[str]:

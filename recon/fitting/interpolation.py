@@ -79,7 +79,7 @@ def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
     is much shorter. It begins with the foot of the thigh that is in front.
     """
     found = find_cycles(motion)
-    last = (motion.frames - 1) / motion.fps
+    last = motion.duration
     flexion = hip_flexion(motion)
     returns = abs(flexion[-1] - flexion[0]).max() <= _MAX_RETURN_RAD
     swings = (flexion.max(0) - flexion.min(0)).max() > _MAX_RETURN_RAD

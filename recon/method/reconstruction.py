@@ -50,8 +50,8 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
         )
     if seen and not any(_covers_observation(start, one) for one in seen):
         first = seen[0]
-        length = (first.moments - 1) / first.fps
-        stop, frames = first.start_time + length, int(length * start.fps + _SLACK) + 1
+        stop = first.start_time + first.duration
+        frames = int(first.duration * start.fps + _SLACK) + 1
         raise ReconError(
             f"start: expected the time of an observation, {first.start_time:g} s to "
             f"{stop:g} s: {frames} frames at "
@@ -77,8 +77,8 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 def _covers_observation(start: Motion, seen: Sensor) -> bool:
     """Return whether a motion covers the time of an observation to within about one frame."""
     first = (start.start_time - seen.start_time) * start.fps
-    length = (seen.moments - 1) / seen.fps * start.fps
-    spare, frame = length - (start.frames - 1), max(1.0, start.fps / REFERENCE_FPS)
+    spare = seen.duration * start.fps - (start.frames - 1)
+    frame = max(1.0, start.fps / REFERENCE_FPS)
     return abs(first) <= _SLACK and -_SLACK <= spare < frame - _SLACK
 
 

@@ -196,6 +196,11 @@ class Sensor(TensorStruct):
         return self.shown.shape[-2]
 
     @property
+    def duration(self) -> float:
+        """Time from the first frame to the last one, seconds."""
+        return (self.moments - 1) / self.fps
+
+    @property
     def named(self) -> TrackedPoints | None:
         """The sensor itself if it measures named points in space, else None."""
         return self._self_if_seeing("points")

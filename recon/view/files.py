@@ -202,7 +202,7 @@ def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Mo
     The other is resampled to the times of the first.
     """
     motion, second = file.motion, other.motion.replace(start_time=file.motion.start_time)
-    lasts = min((m.frames - 1) / m.fps for m in (motion, second))
+    lasts = min(m.duration for m in (motion, second))
     count = int(lasts * motion.fps + 1e-6) + 1
     motion = motion.window(0, count)
     per_frame = (

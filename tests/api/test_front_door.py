@@ -39,12 +39,16 @@ def seen(positions: np.ndarray, **fields) -> recon.Joints3D:
     return recon.Joints3D(positions, visible, range(22), fps=30.0, **fields)
 
 
-@pytest.mark.parametrize(("frames", "fps"), [(17, 29.97), (12, 25.0), (40, 120.0)])
-def test_under_humor_a_result_has_every_frame_of_the_data(frames, fps):
+@pytest.mark.parametrize(
+    ("frames", "fps", "start_time"),
+    [(17, 29.97, 0.0), (12, 25.0, 0.0), (40, 120.0, 0.0), (33, 100.0, 1.7e9 + 0.37)],
+)
+def test_under_humor_a_result_has_every_frame_of_the_data(frames, fps, start_time):
     moments = torch.arange(frames, dtype=torch.float64) / fps
     joints = bundled().pose(walk(20).replace(fps=30.0).at(moments, fps)).joints.numpy()
     shown = np.ones(joints.shape[:-1], dtype=bool)
-    result = recon.fit(recon.Joints3D(joints, shown, range(22), fps=fps), noise=0.01, checks=())
+    sensor = recon.Joints3D(joints, shown, range(22), fps=fps, start_time=start_time)
+    result = recon.fit(sensor, noise=0.01, checks=())
     assert result.motion.frames == frames
     assert result.joints.shape == (frames, 22, 3)
 

@@ -33,14 +33,22 @@ def test_resampling_keeps_the_clock(fps):
 
 
 def test_a_motion_resampled_past_its_end_keeps_its_velocities():
-    there = wave().resample(20.0, stop=6.1)
+    there = wave().resample(20.0, duration=1.1)
     assert there.stop_time == pytest.approx(6.1)
     assert torch.allclose(there.translation[:, 0], there.times - 5, atol=1e-9)
     assert torch.allclose(so3.log(there.rotations[:, 4])[:, 0], there.times - 5, atol=1e-9)
 
 
+@pytest.mark.parametrize("fps", [30.0, 29.97, 100.0, 300.0, 1000.0])
+def test_resampling_on_a_clock_of_unix_time_loses_no_frame(fps):
+    """Such times are exact to 0.2 µs, which is more than a millionth of a frame."""
+    for frames in (24, 33, 60, 119):
+        there = wave(frames).replace(fps=fps, start_time=1.7e9 + 0.37).resample(2 * fps)
+        assert there.frames == 2 * frames - 1
+
+
 def test_a_motion_resampled_to_a_time_before_its_end_is_cut():
-    there = wave().resample(30.0, stop=5.5)
+    there = wave().resample(30.0, duration=0.5)
     assert there.frames == 16
     assert torch.equal(there.translation, wave().translation[:16])
 

@@ -148,7 +148,7 @@ def test_a_prior_with_a_rate_of_its_own_meets_any_clock(fps, toy_body):
     assert len(result.windows) == 3
     assert motion.fps == 30.0
     assert abs(motion.stop_time - truth.stop_time) < 1 / 30
-    known = motion.resample(30.0, min(motion.stop_time, truth.stop_time))
+    known = motion.resample(30.0, min(motion.duration, truth.duration))
     assert error(toy_body, known, truth[0]) < 5e-3  # metres; a frame late would be 3 cm
 
 
