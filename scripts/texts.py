@@ -24,6 +24,9 @@ PACKAGES = ("recon", "priors", "observations", "training")
 MIN_WORDS = 4
 """Texts with fewer words say nothing that could be misunderstood."""
 
+FIRST_LINES = 6
+"""Lines of a body that are shown with the name of its function or class."""
+
 Place = tuple[str, str]
 """The place of a text (file and line or name), and the text."""
 
@@ -43,19 +46,8 @@ def main() -> None:
 
 def drawn(count: int, seed: str) -> list[Place]:
     """Draw texts without repetition, in turns from every kind; a seed always draws the same."""
-    names = _git("ls-files").split("\n")
-    code = [name for name in names if name.endswith(".py") and name.split("/")[0] in PACKAGES]
-    pages = [n for n in names if n.endswith(".md") and n.split("/")[0] in ("docs", "README.md")]
-    kinds = [
-        [one for name in code for one in docstrings(name)],
-        [one for name in code for one in comments(name)],
-        [one for name in code for one in messages(name)],
-        [one for name in code for one in definitions(name)],
-        [one for name in pages for one in paragraphs(name)],
-    ]
     order = random.Random(seed)
-    for texts in kinds:
-        order.shuffle(texts)
+    kinds = [order.sample(texts, len(texts)) for texts in _texts_by_kind()]
     turns = [kind[k] for k in range(count) for kind in kinds if k < len(kind)]
     return turns[:count]
 
@@ -91,15 +83,15 @@ def messages(name: str) -> Iterator[Place]:
 
 
 def definitions(name: str) -> Iterator[Place]:
-    """Yield functions and classes by signature and first statement: do the names tell?"""
+    """Yield functions and classes by signature and first lines, without docstring and imports."""
     lines = _text(name).splitlines()
     for node in ast.walk(_tree(name)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             told = ast.get_docstring(node) is not None
             head = lines[node.lineno - 1 : node.body[0].lineno - 1]
-            first = node.body[told : told + 1]
-            body = lines[first[0].lineno - 1 : first[0].end_lineno] if first else []
-            yield f"{name}:{node.lineno}", "\n".join([*head, *body])
+            kept = [s for s in node.body[told:] if not isinstance(s, ast.Import | ast.ImportFrom)]
+            body = lines[kept[0].lineno - 1 : kept[-1].end_lineno] if kept else []
+            yield f"{name}:{node.lineno}", "\n".join([*head, *body[:FIRST_LINES]])
 
 
 def paragraphs(name: str) -> Iterator[Place]:
@@ -109,6 +101,20 @@ def paragraphs(name: str) -> Iterator[Place]:
         other = part.startswith(("#", "|", "<", "!", ":::"))
         if not other and len(part.split()) >= MIN_WORDS:
             yield name, part
+
+
+@cache
+def _texts_by_kind() -> list[list[Place]]:
+    names = _git("ls-files").split("\n")
+    code = [name for name in names if name.endswith(".py") and name.split("/")[0] in PACKAGES]
+    pages = [n for n in names if n.endswith(".md") and n.split("/")[0] in ("docs", "README.md")]
+    return [
+        [one for name in code for one in docstrings(name)],
+        [one for name in code for one in comments(name)],
+        [one for name in code for one in messages(name)],
+        [one for name in code for one in definitions(name)],
+        [one for name in pages for one in paragraphs(name)],
+    ]
 
 
 @cache

@@ -51,10 +51,6 @@ class Residuals(TensorStruct):
         """Length of every residual, in `unit`; zero where nothing was seen."""
         return self.values.norm(dim=-1)
 
-    def seen_distances(self) -> Float[Tensor, " samples"]:
-        """Return the lengths of all residuals of seen points as a flat tensor."""
-        return self.distances[self.seen]
-
 
 TUNING = 4.6851
 """Bisquare cut-off in robust standard deviations: 95 % efficiency on Gaussian residuals."""

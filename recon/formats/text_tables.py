@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import FormatError
-from recon.core.limits import Limit
+from recon.core.limits import SAMPLES, Limit
 from recon.formats.replacing import replacing
 from recon.formats.texts import decoded_text, read_bytes
 
@@ -148,3 +148,25 @@ def numbers_of_columns(
                         "leave cells empty where nothing was seen"
                     ) from error
     return values
+
+
+def with_missing_frames(
+    values: Float[np.ndarray, "rows points 3"], index: np.ndarray, name: str
+) -> tuple[Float[np.ndarray, "time points 3"], tuple[str, ...]]:
+    """Insert NaN for frames that a table leaves out; also return a sentence that says so.
+
+    Args:
+        values: points of every row.
+        index: frame of every row, increasing whole numbers from 0.
+        name: of the file, for messages.
+
+    Raises:
+        ValueError: when these would be too many frames.
+    """
+    count = int(index[-1]) + 1
+    if count == len(values):
+        return values, ()
+    SAMPLES.check(count * values.shape[1], name, "frames")
+    filled = np.full((count, *values.shape[1:]), np.nan)
+    filled[index.astype(np.int64)] = values
+    return filled, (f"{count - len(values)} frames that are missing between others are unseen",)

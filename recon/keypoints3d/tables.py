@@ -12,7 +12,12 @@ from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.core.units import METRES, parse_unit
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
-from recon.formats.text_tables import numbers_of_columns, read_rows, refuse_repeated_columns
+from recon.formats.text_tables import (
+    numbers_of_columns,
+    read_rows,
+    refuse_repeated_columns,
+    with_missing_frames,
+)
 from recon.keypoints3d.records import Points3D
 
 _COORDINATE = re.compile(
@@ -96,13 +101,9 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
         )
     if (steps == steps[:1]).all():
         return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
-    index = (frames - frames[0]).astype(np.int64)
-    FRAMES.check(index[-1] + 1, name, "column frame")
-    SAMPLES.check((index[-1] + 1) * len(columns), name, "column frame")
-    positions = np.full((index[-1] + 1, *values.shape[1:]), np.nan)
-    positions[index] = values
-    said = f"{len(positions) - len(values)} frames that are missing between others are unseen"
-    return Points3D(name, positions, tuple(columns), decisions=(said,)).with_rate_of_times(
+    index = np.floor(frames - frames[0])
+    positions, said = with_missing_frames(values, index, name)
+    return Points3D(name, positions, tuple(columns), decisions=said).with_rate_of_times(
         None if times is None else np.interp(np.arange(len(positions)), index, times)
     )
 

@@ -15,7 +15,7 @@ from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
 from recon.formats.replacing import write_text
-from recon.formats.text_tables import numbers_of_columns, read_rows
+from recon.formats.text_tables import numbers_of_columns, read_rows, with_missing_frames
 from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
@@ -61,7 +61,7 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     rate = said.get("Export Frame Rate") or said.get("Capture Frame Rate") or ""
     declared = parse_unit(said.get("Length Units", ""))
     return _recording_in_metres(
-        name, labels, values[:, 1:], rate, unit, up, declared, "y", float(values[0, 0])
+        name, labels, values[:, 1:], rate, unit, up, declared, "y", values[:, 0]
     )
 
 
@@ -91,9 +91,9 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     width = first + 3 * len(labels)
     cells = [[cell.strip() for cell in row[:width]] for row in data]
     values = numbers_of_columns(cells, range(width), name, most=width)
-    start = float(values[0, 1]) if timed and len(values) else 0.0
+    times = values[:, 1] if timed else np.full(len(values), np.nan)
     rate = (head.get("FREQUENCY") or [""])[0]
-    return _recording_in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
+    return _recording_in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", times)
 
 
 def _is_number(cell: str) -> bool:
@@ -102,6 +102,11 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _number(cell: str) -> float:
+    """Return the number that a cell holds; NaN if it holds none."""
+    return float(cell or "nan") if _is_number(cell) else np.nan
 
 
 def _recording_in_metres(
@@ -113,24 +118,32 @@ def _recording_in_metres(
     up: Up | None,
     declared: str | None,
     custom: Up,
-    start: float,
+    times: Float[np.ndarray, " time"],
 ) -> MarkerRecording:
-    """Make a recording in metres and z up of a table; NaN or three zeros mean not visible."""
+    """Make a recording in metres and z up of a table; NaN or three zeros mean not visible.
+
+    Times are NaN where the table has none; the recording then starts at 0.
+    """
     if len(values) == 0 or not _is_number(rate):
         raise FormatError(f"{name}: expected rows of frames and a frame rate, got {rate[:20]!r}")
-    fps, said = stated_rate(float(rate or "nan"), name, "frame rate")
+    fps, said = stated_rate(_number(rate), name, "frame rate")
+    points, missing = _with_frames_of_times(
+        values.reshape(len(values), len(labels), 3), times, rate, name
+    )
     raw = MarkerRecording(
         name=name,
         marker_names=tuple(labels),
-        positions=values.reshape(len(values), len(labels), 3),
-        visible=np.ones((len(values), len(labels)), bool),
+        positions=points,
+        visible=np.ones(points.shape[:2], bool),
         fps=fps,
-        decisions=(said,),
-        start_time=start if np.isfinite(start) else 0.0,
+        decisions=(said, *missing),
+        start_time=float(times[0]) if np.isfinite(times[0]) else 0.0,
     )
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
 
 
+_FRACTION = 0.25
+"""Part of a frame by which a time may be off, as times rounded to milliseconds are."""
 _HEADER = 5
 """Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""
 _POSE2SIM = {f"{side}{joint}" for side in "LR" for joint in ("Hip", "Knee", "Ankle")}
@@ -172,14 +185,16 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         values, custom = values[..., [2, 0, 1]], "z"
         if up is not None:
             up = signed_axis((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
-    fps, note = _frame_rate(header.get("DataRate", ""), times, name)
+    rate = header.get("DataRate", "")
+    values, missing = _with_frames_of_times(values, times, rate, name)
+    fps, note = _frame_rate(rate, float(times[-1] - times[0]), len(values), name)
     raw = MarkerRecording(
         name=name,
         marker_names=tuple(labels),
         positions=values,
         visible=np.ones(values.shape[:2], bool),
         fps=fps,
-        decisions=(note, *notes),
+        decisions=(note, *notes, *missing),
         start_time=float(times[0]),
     )
     declared = parse_unit(header.get("Units", ""))
@@ -229,14 +244,28 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
     return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
 
 
-def _frame_rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
-    """Return frames per second by the header, or the time column if it clearly contradicts."""
-    try:
-        header = float(stated)
-    except ValueError:
-        header = 0.0
-    span = float(times[-1] - times[0])
-    measured = (len(times) - 1) / span if span > (len(times) - 1) / FRAME_RATE.high else 0.0
+def _with_frames_of_times(
+    values: Float[np.ndarray, "rows markers 3"], times: np.ndarray, rate: str, name: str
+) -> tuple[Float[np.ndarray, "time markers 3"], tuple[str, ...]]:
+    """Insert frames that a table leaves out, if all times are whole frames of the stated rate."""
+    frames = (times - times[0]) * _number(rate)
+    index = np.rint(frames)
+    if (np.abs(frames - index) <= _FRACTION).all() and (np.diff(index) >= 1).all():
+        return with_missing_frames(values, index, name)
+    return values, ()
+
+
+def _frame_rate(stated: str, span: float, frames: int, name: str) -> tuple[float, str]:
+    """Return frames per second by the header, or by the times if these clearly contradict.
+
+    Args:
+        stated: text of the header.
+        span: from the first to the last time, seconds.
+        frames: number of frames, with those that the table leaves out.
+        name: of the file, for messages.
+    """
+    header = _number(stated)
+    measured = (frames - 1) / span if span > (frames - 1) / FRAME_RATE.high else 0.0
     if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
         return snapped_rate(header), f"{header:g} frames per second: stated by the file"
     if not FRAME_RATE.holds(measured):

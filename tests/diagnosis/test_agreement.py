@@ -24,7 +24,8 @@ def batch(motion: Motion) -> Motion:
 
 
 def lengths(seen, estimate) -> torch.Tensor:
-    return seen.residuals(estimate).seen_distances()
+    residuals = seen.residuals(estimate)
+    return residuals.distances[residuals.seen]
 
 
 def estimate(motion: Motion) -> Estimate:

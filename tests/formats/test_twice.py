@@ -70,3 +70,22 @@ def test_times_that_are_no_clock_are_refused_or_told(tmp_path):
         + f"1\t0.5{places}\n" * 3
     )  # fmt: skip
     assert any("Time does not rise" in said for said in read_trc(tmp_path / "c.trc").decisions)
+
+
+def test_rows_that_a_trc_leaves_out_are_unseen(tmp_path):
+    """The mean of its times was taken as frame rate: 100 Hz became 85.7."""
+    names = ["A", "B"]
+    head = [
+        "PathFileType\t4\t(X/Y/Z)\ta.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        "100\t100\t7\t2\tm",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
+    ]
+    times = [2.00, 2.01, 2.02, 2.04, 2.05, 2.06, 2.07]
+    rows = [f"{k + 1}\t{t:.2f}\t0\t1.{k}\t0.1\t0.2\t1.5\t0.3" for k, t in enumerate(times)]
+    (tmp_path / "a.trc").write_text("\n".join([*head, "", *rows]))
+    found = read_trc(tmp_path / "a.trc")
+    assert found.fps == 100
+    assert found.visible[:, 0].tolist() == [True] * 3 + [False] + [True] * 4
+    assert any("1 frames that are missing" in said for said in found.decisions)

@@ -11,7 +11,7 @@ def test_what_was_not_seen_has_no_residual():
     weights = torch.tensor([[1.0, 0.0]])
     residuals = Residuals(values * weights[..., None], weights, "metres")
     assert residuals.seen.tolist() == [[True, False]]
-    assert residuals.seen_distances().tolist() == [5.0]
+    assert residuals.distances[residuals.seen].tolist() == [5.0]
 
 
 def test_runs_of_flags_are_stretches_of_frames():
