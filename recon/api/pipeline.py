@@ -13,12 +13,12 @@ from recon.api.given import paths_given
 from recon.api.observations import ClipInFitFrame, clip_of, in_fit_frame, with_robust_kernel
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_number, geometries_given
-from recon.core.errors import ReconError
+from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.fitting.clip import clip_problem
 from recon.fitting.methods import FitOptions, is_preview, loaded_prior
-from recon.fitting.records import ClipFit, clip_between
+from recon.fitting.records import ClipFit, clip_between, seen_times
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.pace import paced
 from recon.method.sensor import Sensor
@@ -66,6 +66,11 @@ def observations_to_fit(
             "leave them out"
         )
     clip = clip_of(given, body)
+    if not any(len(seen_times(one)) for one in clip.observations):
+        raise ObservationError(
+            f"{', '.join(clip.names)}: expected at least one point that is seen, got none; points "
+            "are seen where masks are True and confidences above 0"
+        )
     if between is not None:
         clip = clip_between(clip, *between)
     if cutoff is not None:

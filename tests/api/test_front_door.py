@@ -225,6 +225,12 @@ def test_what_is_no_ground_is_refused(ground):
         in_fit_frame(clip_of(seen(noisy(8)), bundled()), ground)
 
 
+def test_a_clip_in_which_nothing_is_seen_is_refused():
+    """The motion was then a guess from nothing, with a warning."""
+    with pytest.raises(recon.ObservationError, match="at least one point that is seen, got none"):
+        recon.fit(seen(np.full((16, 22, 3), np.nan)))
+
+
 def test_what_is_no_clip_is_refused():
     with pytest.raises(recon.ObservationError, match="nothing to fit"):
         recon.fit([])

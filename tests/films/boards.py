@@ -1,5 +1,6 @@
 """Rendered films of a checkerboard before cameras whose lenses and poses are known."""
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,8 @@ MOMENTS, STILL, RATE = 26, 8, 5
 """Pictures in which the board is moved, those in which it lies on the floor, and their rate."""
 NOISE = 2.0
 """Grey levels, of 255."""
+SIDE = 2
+"""Points along each side of a pixel whose mean is its grey level."""
 
 
 def camera(turn: float, focal: float) -> CameraArrays:
@@ -31,8 +34,20 @@ def camera(turn: float, focal: float) -> CameraArrays:
     pose = np.eye(4)
     pose[:3, :3] = np.stack((aside, np.cross(ahead, aside), ahead))
     pose[:3, 3] = -pose[:3, :3] @ place
-    matrix = np.array([[focal, 0.0, 236.0], [0.0, focal, 184.0], [0.0, 0.0, 1.0]])
-    return CameraArrays(matrix, SIZE, DISTORTION, pose[None])
+    return CameraArrays(camera_matrix(focal), SIZE, DISTORTION, pose[None])
+
+
+def camera_matrix(focal: float) -> np.ndarray:
+    return np.array([[focal, 0.0, 236.0], [0.0, focal, 184.0], [0.0, 0.0, 1.0]])
+
+
+@cache
+def camera_rays(focal: float) -> np.ndarray:
+    """Rays through four points of every pixel; those of one lens serve all of its pictures."""
+    y, x = (np.mgrid[: SIZE[1] * SIDE, : SIZE[0] * SIDE] + 0.5) / SIDE - 0.5
+    pixels = np.stack((x, y), -1).reshape(-1, 1, 2)
+    flat = cv2.undistortPoints(pixels, camera_matrix(focal), DISTORTION)[:, 0]
+    return np.column_stack((flat, np.ones(len(flat)))).astype(np.float32)
 
 
 def board_poses() -> list[np.ndarray]:
@@ -59,22 +74,18 @@ def board_poses() -> list[np.ndarray]:
 def picture(
     seen_by: CameraArrays, T_world_board: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """What a camera sees of the board: rays through four points of every pixel."""
+    """What a camera sees of the board."""
     assert seen_by.T_camera_world is not None
     T = seen_by.T_camera_world[0] @ T_world_board
-    side = 2
-    y, x = (np.mgrid[: SIZE[1] * side, : SIZE[0] * side] + 0.5) / side - 0.5
-    pixels = np.stack((x, y), -1).reshape(-1, 1, 2)
-    flat = cv2.undistortPoints(pixels, seen_by.camera_matrix, seen_by.distortion)[:, 0]
-    rays = np.column_stack((flat, np.ones(len(flat)))) @ T[:3, :3]
+    rays = camera_rays(seen_by.camera_matrix[0, 0]) @ T[:3, :3].astype(np.float32)
     start = -T[:3, :3].T @ T[:3, 3]
-    on = start + rays * (-start[2] / rays[:, 2])[:, None]
+    on = start[:2] + rays[:, :2] * (-start[2] / rays[:, 2])[:, None]
     column, row = np.floor(on[:, :2] / BOARD.square).astype(int).T
     dark = (column + row) % 2 == 0
     inside = (column >= -1) & (column < BOARD.columns) & (row >= -1) & (row < BOARD.rows)
     margin = (column >= -2) & (column <= BOARD.columns) & (row >= -2) & (row <= BOARD.rows)
     grey = np.where(inside, np.where(dark, 25.0, 230.0), np.where(margin, 235.0, 120.0))
-    image = grey.reshape(SIZE[1], side, SIZE[0], side).mean((1, 3))
+    image = grey.reshape(SIZE[1], SIDE, SIZE[0], SIDE).mean((1, 3))
     image += rng.normal(0, NOISE, image.shape)
     return np.repeat(image.round().clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
