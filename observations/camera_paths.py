@@ -52,7 +52,7 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
-    back = view.camera.derived(T_camera_world=T).T_world_camera  # this property inverts T
+    back = view.camera.derived(T_camera_world=T).T_world_camera  # `T_world_camera` is T's inverse
     return view.derived(camera=view.camera.derived(T_camera_world=back))
 
 

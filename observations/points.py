@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a tensor, as torch divides a number by a tensor with reciprocals, which rounds otherwise
+        # a tensor, since torch divides a number by a tensor in another way, with other rounding
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 

@@ -142,7 +142,7 @@ class Collocation(Prior[PoseVariables]):
         scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
         steps = (clip.motion.valid.sum() - 1).clamp(min=1)
-        # weight × dρ/dx, the robust kernel's slope exp(-ρ/scale) in its geometric mean over steps
+        # weight × the robust kernel's slope dρ/dx = exp(-ρ/scale), in geometric mean over steps
         weight = term.weight * (-nats / (scale * steps)).exp()
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
         bundled_curvature(nats.device).add(clip.motion, clip.part, error, latents)
@@ -196,7 +196,7 @@ class Collocation(Prior[PoseVariables]):
         optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
         images are fitted. So do clouds, in which limbs may be hidden without being marked so.
         """
-        del noise, body, method  # unused: weights for this noise came with the constructor
+        del noise, body, method  # unused: the constructor took weights for this noise
         w = self.weights
         surface = all(getattr(term.energy, "sees", None) == "surface" for term in data)
         latents = w.latents * (_LATENTS_OF_SURFACE if surface else 1.0)

@@ -79,7 +79,8 @@ class WalkingFrames(TensorStruct):
         near = (1 + apart.square()) ** -2
         angle = torch.atan2(cross @ near, dot @ near)
         turn = so3.about_z(angle)
-        # where an upright body's pelvis is: the points' mean less the mean that they have standing
+        # horizontal place of an upright body's pelvis: the mean of the seen points, minus the
+        # vector from the pelvis to that mean on a standing body
         middle = mean - (turn[..., :2, :2] @ mean_standing[..., None])[..., 0]
         share = total[..., 0] @ near
         origin = near @ (total * middle) / share.clamp(min=1e-6)[..., None]

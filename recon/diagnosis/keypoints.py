@@ -373,7 +373,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # swapped left and right show only with right camera poses
+    if contradictions.repairs:  # exchanged sides are found only if camera poses are correct
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

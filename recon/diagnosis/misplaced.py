@@ -184,7 +184,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
-        # after an odd number of exchanges either the first or the last frame is wrong
+        # even counts only: an odd one leaves open whether the first or the last frame is wrong
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _after_odd_count(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]

@@ -82,7 +82,8 @@ class Naming:
         self._follow_and_turn(found, at, every)
         self._name_tracks()
         if unknown > _SURE:
-            for _ in range(_ROUNDS):  # names and the person's own marker offsets tell each other
+            # better names give better offsets of this person's markers, which give better names
+            for _ in range(_ROUNDS):
                 former = self.marker.copy()
                 body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
@@ -156,11 +157,11 @@ class Naming:
         kept = [found.pose] * len(self.keys)
         ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
         for some in ([at], *([k for k in both if k is not None] for both in ways)):
-            # fit two frames at once, which takes as long as one, each from its neighbour's pose
+            # fit two frames at once, which takes as long as one, each from its neighbour's pose on
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
             known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]
-            if some != [at]:  # pose by the tracks named so far, before new ones are named
+            if some != [at]:  # fit the tracks named so far, before naming others
                 pose = _fit_poses(body, pose, points, known)
             said = _log_odds_of_points(body, pose, points)
             held = [

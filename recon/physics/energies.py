@@ -174,7 +174,7 @@ def _for_all_frames(
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
-    # the last frame that exists in each clip of the batch
+    # index in `values` of the last inner frame of each clip of the batch
     last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)
