@@ -61,7 +61,7 @@ def metres_per_path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres per unit of a camera's path, such that mostly one foot stands still.
+    """Metres per unit of a camera's path, with which one foot stands still most of the time.
 
     1 where the camera only turns.
 

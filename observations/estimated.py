@@ -98,7 +98,7 @@ class EstimatedPoints(Markers3D):
         return self
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ s² Σ rᵀ C⁻¹ r over the residuals of the path and of every point about it; metres²."""
+        """Energy ½ s² Σ rᵀ C⁻¹ r (metres²) of the points' mean and of each point about it."""
         points, seen = self.expected(estimate)
         there = self.visible[..., seen, :, None]
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)

@@ -312,7 +312,7 @@ def _jacobian_by_rotations(
     orientations: Float[Tensor, "moments 22 3 3"],
     joints: Float[Tensor, "moments 22 3"],
 ) -> Float[Tensor, "moments 66 points"]:
-    """Derivatives of u·x by rotations R_a Exp(d_a) of all joints a, metres per radian.
+    """Derivatives of u·x (points x, unit vectors u) by rotations R_a Exp(d_a) of all joints a.
 
     A step turns the share s_a of point x that hangs from joint a: s_a O_aᵀ ((x - p_a) × u). All
     bones are taken to carry the point to one place, as they do but where skin bends.

@@ -243,7 +243,7 @@ class TrackedPoints(PointsOfBody):
         return points + away / counted.sum(-2, keepdim=True).clamp(min=1e-9), seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """Second-order model of the energy about predicted points (recording frame, metres)."""
+        """Quadratic approximation of the energy near given points (recording's frame, metres)."""
         return quadratic_model(
             points, self.positions, self.weights, self.kernel, REFERENCE_FPS / self.fps
         )

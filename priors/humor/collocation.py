@@ -1,4 +1,4 @@
-"""HuMoR fitted to all steps of a motion at once (direct collocation): our default.
+"""HuMoR fitted to all steps of a motion at once (direct collocation): the default method.
 
 Single shooting moves a first state and latents and lets the decoder unroll the motion: an early
 latent moves every later frame, errors of the network add up, and all steps wait for each other.
@@ -182,7 +182,7 @@ class Collocation(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
+        """Three stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
 
         Feet come last, because wrongly standing feet of a first guess would be held there. Where
         limbs are not seen for a while, a stage before that begins from two proposed motions of

@@ -53,7 +53,7 @@ class WalkingFrames(TensorStruct):
 
     @classmethod
     def of(cls, seen: SeenPoints, body: BodyModel, fps: float = 30.0) -> "WalkingFrames":
-        """Frames that a standing body fits best in, averaged over neighbouring moments.
+        """Frames in which a standing body fits points best, averaged over neighbouring moments.
 
         With a_p the points of the standing average body and x_p the seen ones, both horizontal and
         about their means weighted by w_p, the angle of the best rotation is that of the complex

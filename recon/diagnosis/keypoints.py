@@ -253,7 +253,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def order_findings(images: Images) -> tuple[Finding, ...]:
-    """Return warnings for views whose frames are out of order, as neighbours are not similar."""
+    """Return warnings for views whose frames are out of order: neighbours are not similar."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
         one, six = (_typical_distance_moved(images, v, lag) for lag in (1, 6))

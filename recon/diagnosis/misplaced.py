@@ -216,7 +216,7 @@ def _moments_of_exchange(
 
 
 def _after_odd_count(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Return a mask of frames after an odd number of exchanges; empty after too many."""
+    """Return a mask of frames after an odd number of exchanges; false if there are too many."""
     odd = np.cumsum(exchanges) % 2 == 1
     return odd if exchanges.sum() <= max(2, len(exchanges) // 8) else np.zeros_like(odd)
 

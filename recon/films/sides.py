@@ -113,7 +113,7 @@ def _median_in_time(
 def _landmark_confidence(
     sights: list[Sight], spread: Float[np.ndarray, "frames 33"]
 ) -> Float[np.ndarray, "frames 33"]:
-    """Return confidences: the error of a surely seen landmark over that expected of this one.
+    """Return confidences: a surely seen landmark's error divided by the one expected of each.
 
     Args:
         sights: detections of one person.

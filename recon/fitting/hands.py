@@ -319,7 +319,7 @@ def _residuals(
 
 
 def _excess_over_limits(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
-    """Return the angles (rad) beyond the limits; negative below the smallest angle."""
+    """Return by how much angles (rad) are beyond their limits; negative below the smallest."""
     return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
 
 

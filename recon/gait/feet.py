@@ -219,7 +219,7 @@ def _strike_frames(feet: Feet, side: int, step_peaks: Int[np.ndarray, " steps"])
 
 
 def _toe_off_frames(feet: Feet, side: int, behind_peaks: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of toe-off: the last frame of rest before the toes are farthest behind.
+    """Frames of toe-off: the end of the toes' rest before or while they are farthest behind.
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.
     """

@@ -126,7 +126,7 @@ class _Assignment:
 
     @property
     def without_identities(self) -> frozenset[tuple[int, ...]]:
-        """The set of all people's last detections.
+        """The set of all people's last detections, without the people's numbers.
 
         It is equal for assignments that differ only in the people's numbers.
         """

@@ -189,7 +189,7 @@ _CARRIERS = (0, 4, 5, 20, 21)
 
 
 def may_jump(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Mask of windows that may become flights: no hand, knee or pelvis carries, steady height."""
+    """Mask of windows that may become jumps: only feet carry weight, vertical speed is steady."""
     rising = moments.translation[..., 2].diff(dim=1) / moments.seconds.diff(dim=1)
     steady = rising.amax(1) - rising.amin(1) < _STEADY
     return steady & ~moments.ever_in_contact(*_CARRIERS)
