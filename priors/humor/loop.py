@@ -215,7 +215,7 @@ def _rolled_out(
 def _rotated_by_twice(
     half: Float[Tensor, "batch 22 3"], matrix: Float[Tensor, "batch 22 3 3"]
 ) -> Float[Tensor, "batch 22 3 3"]:
-    """Exp(2 half) matrix, by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
+    """Return Exp(2 half) m by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
     angle = torch.linalg.vector_norm(half, dim=-1, keepdim=True)
     c, q = angle.cos()[..., None], (torch.sinc(angle / pi) * half)[..., None]
     once = torch.linalg.cross(q, matrix, dim=-2)

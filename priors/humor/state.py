@@ -134,7 +134,7 @@ def canonical_state(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
 def state_after_step(
     state: State, raw: Float[Tensor, "*batch 216"]
 ) -> tuple[State, Float[Tensor, "*batch 9"]]:
-    """Apply the decoder's output, a raw step, to a state; return the next and contact logits.
+    """Apply the decoder's output (a raw step) to a state; return next state, contact logits.
 
     The new state is in the frame of the old one.
     """

@@ -223,7 +223,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
     def _equations(
         self, x: _ClockAndPose, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Return Hessian, descent direction and inflation, with the prior on the shift."""
+        """Return Hessian, descent direction, and residuals' variance relative to white noise."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._shift_of_centre(x[1]) / SHIFT**2

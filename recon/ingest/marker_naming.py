@@ -311,6 +311,6 @@ def _log_odds_of_points(
 def _log_odds(
     away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
-    """Return log odds of normal distances against a uniform density of one per cubic metre."""
+    """Return log odds of a normal density of distances against one point per cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
     return np.maximum(near, _LEAST)
