@@ -52,7 +52,7 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
-    back = view.camera.derived(T_camera_world=T).T_world_camera  # this property inverts T
+    back = view.camera.derived(T_camera_world=T).T_world_camera  # `T_world_camera` is T's inverse
     return view.derived(camera=view.camera.derived(T_camera_world=back))
 
 
@@ -61,7 +61,7 @@ def metres_per_path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres per unit of a camera's path, such that mostly one foot stands still.
+    """Metres per unit of a camera's path, with which one foot stands still most of the time.
 
     1 where the camera only turns.
 

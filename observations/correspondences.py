@@ -200,7 +200,7 @@ class BodyPoints:
         return frozenset.intersection(*on) - {-1} if on else frozenset()
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Positions of the points on a posed body, world, metres; zero where it lacks a point."""
+        """Positions of points on a posed body, world, metres; zero for points that it lacks."""
         own = self.on(posed.joints.device, posed.joints.dtype)
         points = own.of_joints @ posed.joints
         if len(own.vertices) == 0:

@@ -181,7 +181,7 @@ class PointCloud(Sensor):
             return held.with_tukey_scale(estimate) if self.kernel is tukey else held
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
+        """Energy ½ Σ kernel(distance²) over the points present, scaled to 30 Hz.
 
         One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
         faces the sensor. Where no vertex faces the sensor, all of them are searched.
@@ -195,7 +195,7 @@ class PointCloud(Sensor):
     def _relative_variances(
         self, seen: Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Each frame's variance of a distance, relative to `CLOUD_NOISE`², and its weight.
+        """Each frame's variance of distances, relative to `CLOUD_NOISE`², and each frame's weight.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.

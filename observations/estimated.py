@@ -59,7 +59,8 @@ class ErrorCovariance:
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
         slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])
-        # jitter is independent in every frame: scaled so that a second tells as much at any rate
+        # jitter is independent in every frame: it grows with the root of the frame rate, so that a
+        # second of data determines the motion equally well at any rate
         jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
         variance = jitter.clamp(max=_UNSEEN).square()
         return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)
@@ -97,7 +98,7 @@ class EstimatedPoints(Markers3D):
         return self
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ s² Σ rᵀ C⁻¹ r over the residuals of the path and of every point about it; metres²."""
+        """Energy ½ s² Σ rᵀ C⁻¹ r (metres²) of the points' mean and of each point about it."""
         points, seen = self.expected(estimate)
         there = self.visible[..., seen, :, None]
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)

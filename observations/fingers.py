@@ -60,7 +60,7 @@ def split_off_fingers(
 
 
 def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*batch moments 42 n"]:
-    """Check points of hands, whose last number is a confidence; zero where that is 0.
+    """Check points of hands, whose last number is a confidence; those of confidence 0 become zero.
 
     Args:
         fingers: (..., moments, 42, numbers), NaN where not seen; or 52 points, 26 of each hand in

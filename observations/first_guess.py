@@ -58,7 +58,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
 
 
 def _posed_as(posed: Motion, placed: Motion) -> Motion:
-    """Give motion `placed` the poses and translations of `posed`, at its own frame rate.
+    """Give motion `placed` the poses and translations of `posed`, at the frame rate of `placed`.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
     point is near them, so none pulls them back. Before the other motion begins and after it has

@@ -183,7 +183,7 @@ class Keypoints2D(PointsOfBody):
         return projected.pixels, seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """Second-order model of the energy about predicted points (recording frame, metres)."""
+        """Quadratic approximation of the energy near given points (recording's frame, metres)."""
         seen = self.camera.to_camera(points)
         in_front = seen[..., 2] > NEAREST
         depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]

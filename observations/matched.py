@@ -128,7 +128,7 @@ class _PointsBesideDiscs:
 
     @property
     def half_gradient(self) -> Float[Tensor, "*batch moments 3 points"]:
-        """Half the derivative of squared distances d² by offsets e: (1 - q) h n + q e, metres."""
+        """Half the derivative of squared distances by offsets: (1 - q) h n + q e (q: `beyond`)."""
         level = ((1 - self.beyond) * self.height)[..., None, :]
         return level * self.normals + self.beyond[..., None, :] * self.offsets
 
@@ -262,7 +262,7 @@ class MatchedCloud(TensorStruct):
         )
 
     def add_surface_curvature(self, weight: float, model: ClipModel) -> None:
-        """Add one clip's Gauss-Newton Hessian; a moment counts for its nearest frame.
+        """Add one clip's Gauss-Newton Hessian; a moment of the cloud counts at the nearest frame.
 
         A distance changes as its foot, the nearest place of the disc, moves along the line to the
         point.
@@ -312,7 +312,7 @@ def _jacobian_by_rotations(
     orientations: Float[Tensor, "moments 22 3 3"],
     joints: Float[Tensor, "moments 22 3"],
 ) -> Float[Tensor, "moments 66 points"]:
-    """Derivatives of u·x by rotations R_a Exp(d_a) of all joints a, metres per radian.
+    """Derivatives of u·x (points x, unit vectors u) by rotations R_a Exp(d_a) of all joints a.
 
     A step turns the share s_a of point x that hangs from joint a: s_a O_aᵀ ((x - p_a) × u). All
     bones are taken to carry the point to one place, as they do but where skin bends.

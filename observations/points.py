@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a tensor, as torch divides a number by a tensor with reciprocals, which rounds otherwise
+        # a tensor, since torch divides a number by a tensor in another way, with other rounding
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 
@@ -243,7 +243,7 @@ class TrackedPoints(PointsOfBody):
         return points + away / counted.sum(-2, keepdim=True).clamp(min=1e-9), seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """Second-order model of the energy about predicted points (recording frame, metres)."""
+        """Quadratic approximation of the energy near given points (recording's frame, metres)."""
         return quadratic_model(
             points, self.positions, self.weights, self.kernel, REFERENCE_FPS / self.fps
         )

@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def integer_settings(self, *names: str, least: int = 1, **texts: str) -> list[int]:
-        """Return the integer settings `names`; the settings `texts` must be as given.
+        """Return the integer settings `names`; refuse a file with other values of `texts`.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.

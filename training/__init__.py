@@ -1,1 +1,1 @@
-"""Training of the priors from a converted corpus; in no wheel."""
+"""Training of the priors from a converted corpus; not a part of the installed package."""

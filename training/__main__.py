@@ -27,7 +27,7 @@ _AT_ONCE = {
 
 
 def _is_former(folder: Path) -> bool:
-    """Whether a folder has a checkpoint, or the log of a run that was cut before its first."""
+    """Whether a folder has a checkpoint, or the log of a run that ended before its first one."""
     return (folder / "checkpoint.pt").is_file() or (folder / "train.log").is_file()
 
 

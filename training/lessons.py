@@ -183,7 +183,7 @@ def foot_slide(
 
 
 def _off_ground(movement: Movement) -> Bool[np.ndarray, " time"]:
-    """Mask of frames in which something else than the ground carries, or soles are below it.
+    """Mask of frames in which soles are below the ground, or something else carries the body.
 
     A sole stands higher than the ground, or no foot is near it for longer than a flight lasts.
     """

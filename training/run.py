@@ -165,7 +165,7 @@ class Run(Generic[S, N]):
         self.step, self.rows, self.sums = state["step"], state["rows"], state["sums"]
 
     def save(self) -> None:
-        """Write the checkpoint atomically: a cut run leaves the old file or the new one."""
+        """Write the checkpoint atomically: a killed run leaves the old file or the new one."""
         self._write_state(
             CHECKPOINT,
             settings=plain_settings(self.settings),

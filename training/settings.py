@@ -30,7 +30,7 @@ class CorpusSettings:
     """Table of the subjects that are held out."""
 
     def files(self, part: Part) -> dict[str, Path]:
-        """The motion files of one part whose weights may be shipped, by clip name.
+        """The motion files of one part that shipped weights may be trained on, by clip name.
 
         Raises:
             FileNotFoundError: when there is no splits file, or the corpus holds no motion files.

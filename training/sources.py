@@ -281,7 +281,8 @@ def read_humanoid(path: Path) -> SkeletonRecording:
     offsets = np.array([place for _, place in _TREE.values()])
     for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
         raised = _arm_lowering(name)
-        # where A lowers a bone's rest pose, its rotation R from the parent becomes A_parentᵀ R A
+        # A lowers the arms of a T-pose (identity for other bones): a rotation R from the parent
+        # becomes A_parentᵀ R A
         before = _arm_lowering(names[parent]) if parent >= 0 else np.eye(3)
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]

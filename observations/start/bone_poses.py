@@ -60,7 +60,7 @@ def hessian_by_rotations(
     first, mass = below @ first, mass @ below.mT
     joints = bones[..., 3]
     lever = first - mass[..., None] * joints
-    # own[b] is Σ w x (x - p_b)ᵀ over the points x that hang from joint b; p_b is its place
+    # own[b] is Σ w x (x - p_b)ᵀ over the points x that hang from joint b, which is at p_b
     own = second - first[..., None] * joints[..., None, :]
     upper, lower = _HANGING
     moments = own[:, lower] - joints[:, upper, :, None] * lever[:, lower, None, :]
@@ -332,7 +332,8 @@ def _derivatives_by_coordinates(
     mass, across, between = hessian_by_rotations(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
-    # Jacobian of all rotations by the root's and by pose coordinates z, which turn joints by B z
+    # Jacobian of all rotations by the root's rotation and by pose coordinates z; the rotation
+    # vectors of the other joints are B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)
     whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)

@@ -153,7 +153,7 @@ def _weak_perspective(
 def smooth_path(
     misfit: Float[Tensor, "batch time headings"], angles: Float[Tensor, " headings"], fps: float
 ) -> Int[Tensor, "batch time"]:
-    """Index of each frame's heading, with least total misfit and turning (Viterbi)."""
+    """Choose each frame's heading (index) for least total misfit and turning (Viterbi)."""
     away = (angles[:, None] - angles + math.pi).remainder(math.tau) - math.pi
     turning = 0.1 * (away * fps / _TURNING).square() / fps
     return cheapest_path(misfit, turning.expand(misfit.shape[1] - 1, -1, -1))

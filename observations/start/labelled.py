@@ -285,7 +285,7 @@ def _frames_to_pose(
 
 
 def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """Return labels mirrored as the hypothesis says, by a sign for each axis of places."""
+    """Return labels mirrored as a hypothesis says: -1 of `signs` mirrors that axis of places."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]
@@ -296,7 +296,7 @@ def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> P
 def _costs_of_changing_hypothesis(
     posed: BonePoses, hypotheses: int, seconds: Float[Tensor, " between"]
 ) -> Float[Tensor, "between readings readings"]:
-    """Cost, by speed, of changing from each hypothesis of a frame to each of the next frame."""
+    """Cost of going from each hypothesis of a frame to each of the next, by implied speeds."""
     root = posed.root.unflatten(0, (hypotheses, -1)).transpose(0, 1)
     joints = posed.joints.unflatten(0, (hypotheses, -1)).transpose(0, 1)
     joints = joints - joints[..., :1, :]

@@ -33,7 +33,7 @@ labels do not count, and 5.6 and more where they count six times as much."""
 
 
 def label_features(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
-    """Features of labelled points; times those of surfels they give the cost of a match."""
+    """Features of labelled points, whose product with `surfel_features` is the cost of a match."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
     size = torch.full_like(sure, _PLACE_WEIGHT)
@@ -160,7 +160,7 @@ def misfits_of_frames(
     present: Bool[Tensor, "rows points"],
     eye: Float[Tensor, "rows 3"] | None,
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, " rows"]]:
-    """Two misfits (0 to 1) per frame: distance of points, and surface the sensor saw through.
+    """Two misfits (0 to 1) per frame: distance of points, share of surface the sensor saw past.
 
     Args:
         motion: one clip, whose frames are the rows.

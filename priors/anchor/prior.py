@@ -75,7 +75,7 @@ class AnchorVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class AnchorFrames(CyclePrior[AnchorVariables]):
-    """The prior of whole gait cycles: normal latent codes plus small, slow corrections."""
+    """The prior of whole gait cycles: normally distributed codes, small slow corrections."""
 
     weights: AnchorWeights
     body: BodyModel

@@ -1,4 +1,4 @@
-"""HuMoR fitted to all steps of a motion at once (direct collocation): our default.
+"""HuMoR fitted to all steps of a motion at once (direct collocation): the default method.
 
 Single shooting moves a first state and latents and lets the decoder unroll the motion: an early
 latent moves every later frame, errors of the network add up, and all steps wait for each other.
@@ -142,7 +142,7 @@ class Collocation(Prior[PoseVariables]):
         scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
         steps = (clip.motion.valid.sum() - 1).clamp(min=1)
-        # weight × dρ/dx, the robust kernel's slope exp(-ρ/scale) in its geometric mean over steps
+        # weight × the robust kernel's slope dρ/dx = exp(-ρ/scale), in geometric mean over steps
         weight = term.weight * (-nats / (scale * steps)).exp()
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
         bundled_curvature(nats.device).add(clip.motion, clip.part, error, latents)
@@ -182,7 +182,7 @@ class Collocation(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
+        """Three stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
 
         Feet come last, because wrongly standing feet of a first guess would be held there. Where
         limbs are not seen for a while, a stage before that begins from two proposed motions of
@@ -196,7 +196,7 @@ class Collocation(Prior[PoseVariables]):
         optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
         images are fitted. So do clouds, in which limbs may be hidden without being marked so.
         """
-        del noise, body, method  # unused: weights for this noise came with the constructor
+        del noise, body, method  # unused: the constructor took weights for this noise
         w = self.weights
         surface = all(getattr(term.energy, "sees", None) == "surface" for term in data)
         latents = w.latents * (_LATENTS_OF_SURFACE if surface else 1.0)

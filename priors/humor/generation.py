@@ -332,7 +332,8 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # the pelvis is not drawn: it is placed as at rest, and has the translation's velocity
+    # the mixture lacks the horizontal place and the velocity of the pelvis, which follow from
+    # the rest pose and from the translation
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

@@ -40,7 +40,7 @@ _UPRIGHT = 1e-12
 
 
 def _starts_of_vectors(velocity: int, spin: int, joints: int) -> list[int]:
-    """First index of every vector in a packed state or raw step."""
+    """Index of each vector's first coordinate in a packed state, or in the decoder's output."""
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
 
@@ -122,7 +122,7 @@ class FrozenDecoder:
     def __call__(
         self, x: Float[Tensor, "batch 337"], added: tuple[Tensor, ...]
     ) -> tuple[Tensor, ...]:
-        """Return the linear outputs of all layers; the last one is the decoder's raw step."""
+        """Return the linear outputs of all layers; the last one's are the decoder's output."""
         units: list[Tensor] = []
         for weight, bias, norm in zip(self.layers[:-1], added[:-1], self.norms, strict=True):
             units.append(torch.addmm(bias, x, weight))
@@ -176,7 +176,7 @@ class HeadingRotation:
 
 @dataclass(frozen=True)
 class RolledOutSteps:
-    """States and raw steps of a roll-out, each in the canonical frame of its step's start."""
+    """States and decoder outputs of a roll-out, in the canonical frames of the steps' starts."""
 
     inputs: Float[Tensor, "steps batch 337"]
     """The state from which each step starts."""
@@ -215,7 +215,7 @@ def _rolled_out(
 def _rotated_by_twice(
     half: Float[Tensor, "batch 22 3"], matrix: Float[Tensor, "batch 22 3 3"]
 ) -> Float[Tensor, "batch 22 3 3"]:
-    """Exp(2 half) matrix, by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
+    """Return Exp(2 half) m by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
     angle = torch.linalg.vector_norm(half, dim=-1, keepdim=True)
     c, q = angle.cos()[..., None], (torch.sinc(angle / pi) * half)[..., None]
     once = torch.linalg.cross(q, matrix, dim=-2)
@@ -258,7 +258,8 @@ class _RollOut(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients by each step's start, raw output and rotations; each adds to the step before
+        # gradients by the start, raw output and rotations of every step; the loop goes back in
+        # time, and each step adds to the gradients of the step before it
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

@@ -81,7 +81,7 @@ class Mixture(TensorStruct):
         return -(self._log_heights() - 0.5 * white.square().sum(-1)).logsumexp(-1)
 
     def rarity(self, x: Float[Tensor, "*batch numbers"]) -> Float[Tensor, "*batch"]:
-        """-log p(x) relative to the mean of the highest component, at least zero; nats.
+        """-log p(x) above its value at the mean of the highest component, at least zero; nats.
 
         A draw of one component is about half as many above that component as it has numbers.
         """

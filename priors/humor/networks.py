@@ -71,7 +71,7 @@ class _NormalisationAndReLU(torch.autograd.Function):
 
 
 class Perceptron(nn.Module):
-    """Network of a linear layer, then GroupNorm, ReLU and a linear layer several times.
+    """Network of a linear layer, then several times GroupNorm, ReLU and another linear layer.
 
     With `skip`, so many numbers at the end of the input are given to every later layer again.
     """
@@ -137,7 +137,7 @@ class HumorNetworks(nn.Module):
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """The decoder's raw step, which `priors.humor.state.state_after_step` applies."""
+        """The decoder's output, the raw step, which `state_after_step` applies to the state."""
         x = torch.cat((state, latent), -1)
         return self.decoder(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 

@@ -69,7 +69,7 @@ class Humor(Prior[HumorVariables]):
         *,
         mixture: str | Path | None = None,
     ) -> "Humor":
-        """Load the bundled weights, ones of `python -m training humor`, or the authors' file.
+        """Load the bundled weights, a file of `python -m training humor`, or the authors' file.
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
@@ -228,7 +228,7 @@ def networks_from(weights: Checkpoint) -> HumorNetworks:
 
 
 def mixture_from(weights: Checkpoint) -> Mixture | None:
-    """The mixture of initial states in a weights file; None without one."""
+    """The mixture of initial states in a weights file; None if it has none."""
     own = weights.with_prefix(INITIAL)
     if len(own.tensors) == 0:
         return None
@@ -243,7 +243,7 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
-    """The matrix that whitens the decoder's errors, from a weights file; None without one."""
+    """The matrix in a weights file that whitens the decoder's errors; None if it has none."""
     own = weights.with_prefix(WHITENING)
     return own.require({"": (207, 207)})[""] if own.tensors else None
 

@@ -42,7 +42,7 @@ _REST = frozenset({"latents", "shape"})
 
 @dataclass(frozen=True)
 class HumorWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one (section 6.9)."""
+    """Multipliers of the unweighted energies, for an observation of weight one."""
 
     transition: float
     """Weight of -log p of the latents, in nats."""
@@ -162,11 +162,11 @@ class Shooting(Prior[HumorVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Return the stages: start, first 15 frames, latents with the first state fixed, all.
+        """Return the stages: start, first 15 frames, latents alone, all variables.
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
-        del noise, body, method  # unused: weights for this noise came with the constructor
+        del noise, body, method  # unused: the constructor took weights for this noise
         if self.data_weights is not None:
             data = tuple(_with_sensor_weight(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))

@@ -134,7 +134,7 @@ def canonical_state(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
 def state_after_step(
     state: State, raw: Float[Tensor, "*batch 216"]
 ) -> tuple[State, Float[Tensor, "*batch 9"]]:
-    """Apply the decoder's raw step to a state; return the next state and contact logits.
+    """Apply the decoder's output (a raw step) to a state; return next state, contact logits.
 
     The new state is in the frame of the old one.
     """
@@ -165,7 +165,7 @@ def contact_probabilities(
 
 
 def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
-    """Return the raw step with which `state_after_step` gets from one state to another.
+    """Return the decoder output with which `state_after_step` gets from one state to another.
 
     Turns are axes times sines of angles: those of a step are small.
     """

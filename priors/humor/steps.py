@@ -66,7 +66,7 @@ class Steps(TensorStruct):
 
     @classmethod
     def of(cls, states: State, pelvis: Float[Tensor, "clips 3"]) -> "Steps":
-        """The steps between neighbouring states; `pelvis` is of the bodies at rest."""
+        """The steps between neighbouring states; `pelvis` is that of the bodies at rest."""
         frame = Frame.of(states[:, :-1])
         level = torch.cat((frame.origin[..., None, :], pelvis[:, None, None].expand_as(
             frame.origin[..., None, :])), -2)  # fmt: skip
@@ -101,7 +101,7 @@ class Steps(TensorStruct):
         return cls(packed[0], packed[1], rotations)
 
     def error(self, raw: Float[Tensor, "clips steps 216"]) -> Float[Tensor, "clips steps 207"]:
-        """Return the error of the decoder's raw steps: the step from prediction to true end."""
+        """Return the error of decoder outputs: the step from predicted to true next states."""
         straight = self.end - self.start
         turns = torch.cat((raw[..., 6:9], raw[..., 12:75]), -1).unflatten(-1, (-1, 3))
         before, after = self.rotations.unbind(0)
@@ -277,5 +277,5 @@ class CollocationWeights:
 
 
 def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
-    """Robust kernel ρ(x) = s log(1 + x / s) with scale s: about x for small x, then log."""
+    """Robust kernel ρ(x) = s log(1 + x / s) with scale s: x if small, logarithmic if large."""
     return scale * torch.log1p(nats / scale)

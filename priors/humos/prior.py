@@ -245,7 +245,7 @@ def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
 
 
 def count_at_network_rate(frames: int, fps: float) -> int:
-    """Number of frames at 20 Hz that cover a given number at another rate."""
+    """Number of frames at 20 Hz that cover a given number of frames at another rate."""
     return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
 
 

@@ -101,7 +101,7 @@ class UnseenLimbs(TensorStruct):
 
 
 def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape 22"]:
-    """Mask of joints whose rotation moves missing joints only; the pelvis needs all missing."""
+    """Mask of joints whose rotation moves missing joints only; the pelvis only if all do."""
     found = torch.zeros_like(missing)
     found[..., 0] = missing.all(-1)
     for joint in range(1, len(JOINTS)):
@@ -111,7 +111,7 @@ def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape
 
 
 def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor, "clips time 22"]:
-    """Keep of a mask only runs of true values that last at least `frames` frames."""
+    """Keep only those runs of true values in a mask that last at least `frames` frames."""
     whole = mask.unfold(1, frames, 1).all(-1)
     around = torch.nn.functional.pad(whole, (0, 0, frames - 1, frames - 1))
     return around.unfold(1, frames, 1).any(-1)

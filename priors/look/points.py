@@ -53,7 +53,7 @@ class WalkingFrames(TensorStruct):
 
     @classmethod
     def of(cls, seen: SeenPoints, body: BodyModel, fps: float = 30.0) -> "WalkingFrames":
-        """Frames that a standing body fits best in, averaged over neighbouring moments.
+        """Frames in which a standing body fits points best, averaged over neighbouring moments.
 
         With a_p the points of the standing average body and x_p the seen ones, both horizontal and
         about their means weighted by w_p, the angle of the best rotation is that of the complex
@@ -79,7 +79,8 @@ class WalkingFrames(TensorStruct):
         near = (1 + apart.square()) ** -2
         angle = torch.atan2(cross @ near, dot @ near)
         turn = so3.about_z(angle)
-        # where an upright body's pelvis is: the points' mean less the mean that they have standing
+        # horizontal place of an upright body's pelvis: the mean of the seen points, minus the
+        # vector from the pelvis to that mean on a standing body
         middle = mean - (turn[..., :2, :2] @ mean_standing[..., None])[..., 0]
         share = total[..., 0] @ near
         origin = near @ (total * middle) / share.clamp(min=1e-6)[..., None]

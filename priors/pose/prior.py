@@ -191,7 +191,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """Load the bundled density, or one of `python -m training pose`.
+        """Load the bundled density, or one made by `python -m training pose`.
 
         Args:
             path: `open` or None for the bundled density, or a file.
@@ -212,7 +212,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """Return the Gaussian density that stands for this prior beside data of a given noise.
+        """Return a Gaussian density that approximates this prior, for data of a given noise.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share of it is believed, 1 / (1 + rarity /
@@ -313,7 +313,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Two stages: root from the data alone; then all, under pose density and smoothness."""
+        """Two stages: root from the data alone; then all variables, with the prior's energies."""
         del method
         fitting = self if self.weights else self.replace(weights=PoseWeights.for_noise(noise))
         fitting = fitting if body is None else fitting.to(device=body.template.device)

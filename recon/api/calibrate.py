@@ -42,7 +42,7 @@ _HEIGHTS = (0.5, 2.5)
 
 @dataclass(frozen=True, repr=False)
 class CameraRig:
-    """Calibrated cameras in one world (metres, z up, ground at z = 0); a lone one has no pose."""
+    """Calibrated cameras in one world (m, z up, ground z = 0); a single camera has no pose."""
 
     cameras: Mapping[str, CameraArrays]
     """By the names of their films."""

@@ -133,7 +133,7 @@ def fit(
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if paths and _is_estimate(paths):
-        from recon import refine  # imported here, since it imports this module: a circle
+        from recon import refine  # imported here, since `refine` imports this module
 
         _refuse_unused_options(paths[0], how_read, start)
         return refine(

@@ -102,9 +102,9 @@ def interpolate(
         "durations": durations,
     }
     lines = [f"cycle of {name}: {seconds:.2f} s" for name, seconds in durations.items()]
-    shown = {f"{share:g} of the way": {"seconds": durations}}
+    tables = {f"{share:g} of the way": {"seconds": durations}}
     return MadeMotion(
-        motion_file_of(motion[0], model), model, (), about, tuple(lines), shown=shown
+        motion_file_of(motion[0], model), model, (), about, tuple(lines), summary_tables=tables
     )
 
 

@@ -25,13 +25,13 @@ class MadeMotion(MotionResult):
     """Faults of the recording that were repaired."""
     diagnosis: tuple[Finding, ...] = ()
     """Findings that are no faults."""
-    shown: Tables = field(default_factory=dict)
-    """Numbers for the person at the terminal."""
+    summary_tables: Tables = field(default_factory=dict)
+    """The most important numbers, as tables for the person at the terminal."""
 
     @property
     def tables(self) -> Tables:
-        """The most important numbers, as tables for a terminal."""
-        return self.shown
+        """The most important numbers as tables for a terminal: `summary_tables`."""
+        return self.summary_tables
 
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None

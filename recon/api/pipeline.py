@@ -52,7 +52,7 @@ def observations_to_fit(
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
         how = replace(FitSettings(**vars(how_read)), robust=cutoff, ground=plane, between=between)
-        # observations in memory need neither reader
+        # the two readers are only imported when files or arrays are given
         if paths:
             from recon.reading.clip import load_clip as read
         else:
@@ -134,9 +134,9 @@ def fit_and_check(
         # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = with_first_guess(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
-        # the problem to solve: residuals over their noise; ground and focal length where unknown
+        # the problem to solve: residuals over their noise, with ground and focal length if unknown
         problem = clip_problem(seen, guess, options, body, watch)
-        # minimise the stages of the prior, one after the other
+        # minimise the objectives of the prior's stages, one after the other
         fit = problem.solved()
     # check the result: residuals, standard deviations, other hypotheses, plausible movement
     return checked(ExaminedClip.of(clip, fit), of_fit)

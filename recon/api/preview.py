@@ -64,7 +64,8 @@ def preview(
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
         spread = torch.ones_like(fit.result.motion.shape[0])
-        shape_std = 0.0 if options.shape is not None else 1.0  # 1 is the std among people
+        # among people, shape coefficients have a standard deviation of 1
+        shape_std = 0.0 if options.shape is not None else 1.0
         own = Deviations(std, _ROOT * std.mean(-1), shape_std * spread)
         examined = replace(examined, deviations=own)
     said = (

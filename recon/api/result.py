@@ -302,7 +302,7 @@ def result_of(
     # completed data may have few frames per second; then the result has the fit's frame rate
     rate = max(first.fps, motion.fps) if completes else first.fps
     seen = max(one.start_time - motion.start_time + one.duration for one in clip.observations)
-    # motions at the 30 Hz of HuMoR's networks end up to a frame after the last observation
+    # a motion at the 30 Hz of HuMoR's networks may end up to one frame after the data
     duration = motion.duration if completes else min(seen, motion.duration)
     motion = motion.resample(rate if fps is None else fps, duration)
     T, ground = found.T_world_recording[0].double().clone(), 0.0 if found.grounded else None

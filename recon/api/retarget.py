@@ -139,7 +139,7 @@ def retarget(
         "warnings": [finding.message for finding in warnings],
     }
     lines = [f"{k}: {row['height']:.2f} m, {row['weight']:.1f} kg" for k, row in bodies.items()]
-    shown = {
+    tables = {
         "bodies": {
             k: {"height, m": round(row["height"], 3), "weight, kg": round(row["weight"], 1)}
             for k, row in bodies.items()
@@ -147,7 +147,7 @@ def retarget(
         "physics at 20 Hz": {k: _metrics_to_show(row) for k, row in about["physics"].items()},
     }
     file = motion_file_of(raised_motion(result, level), model, level)
-    return MadeMotion(file, model, warnings, about, tuple(lines), shown=shown)
+    return MadeMotion(file, model, warnings, about, tuple(lines), summary_tables=tables)
 
 
 def ground_height(given: GivenMotion, stated_height: float | None) -> float:

@@ -62,7 +62,7 @@ class SourceClip:
 
     @property
     def sure_contacts(self) -> bool:
-        """Whether foot contacts are reliable: not for skeletons that all subjects share.
+        """Whether foot contacts are reliable, which they are not on a skeleton that all share.
 
         They are not where motions were copied to another skeleton.
         """

@@ -82,7 +82,7 @@ def batch(
     if ray is not None:
         from recon.batch.ray_cluster import with_absolute_paths
 
-        # a cluster's processes start in other folders
+        # a cluster's processes start in other folders, where relative paths mean other files
         manifest, out, settings = (
             manifest.absolute(),
             out.absolute(),

@@ -86,7 +86,7 @@ class Splits:
         return not _matches(clip, self.non_commercial)
 
     def parts(self, clips: Sequence[str]) -> dict[str, Part]:
-        """Return the part of every clip (train, validation, test, apart) but of excluded ones.
+        """Return the part (train, validation, test, apart) of every clip that is not excluded.
 
         Of some clips every tenth is for validation, in the order of names, from the first.
         """

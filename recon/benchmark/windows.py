@@ -225,7 +225,7 @@ def bench_windows(
 
 
 def with_freely_licensed_windows(splits: Splits, part: Part) -> Splits:
-    """Return the splits with the windows of one part alone, those of freely licensed clips."""
+    """Return splits that list only the windows of one part's freely licensed clips."""
     lengths = {
         frames: tuple((clip, first) for clip, first in rows if splits.has_open_licence(clip))
         for frames, rows in splits.windows.get(part, {}).items()

@@ -71,7 +71,8 @@ class Levers(TensorStruct):
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
-        # lever arms are Σ share (point - joint) over joints below the turning one: this is Σ share
+        # a lever arm is Σ share (point - joint) over the joints below the turning one; `hung` is
+        # the factor Σ share of the turning joint's position
         hung = torch.diag_embed(points.share @ below.mT)
         arms[..., 3] -= hung
         return cls(
@@ -184,7 +185,8 @@ class ShapeLevers(TensorStruct):
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # zeros for the positions of joints
+        # zeros are multiplied by the positions of joints, which `pose` has beside the rotations
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
     def jacobian_by_shape(

@@ -230,7 +230,7 @@ def _without_jumps(
     steps = both[None, :, 1:] - both[:, None, :-1]
     steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
     branch = [0]
-    # for each of a frame's two solutions, the number of the next frame's nearer one
+    # `follows` has, for each of a frame's two solutions, the index of the next frame's nearer one
     for follows in steps.argmin(1).T.tolist():
         branch.append(follows[branch[-1]])
     return np.unwrap(both[branch, np.arange(len(branch))], axis=0)

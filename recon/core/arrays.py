@@ -60,7 +60,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
 
 
 def geometries_given(given: Any) -> tuple[Any, ...]:
-    """Return an argument as a tuple of Open3D geometries, one per frame; () if it is none.
+    """Return an argument as a tuple of Open3D geometries, one per frame; () if it is no geometry.
 
     They are recognised by their attributes. A depth image is a pair (image, lens).
     """

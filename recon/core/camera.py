@@ -118,7 +118,7 @@ class Camera(TensorStruct):
         return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
 
     def at(self, moments: range) -> "Camera":
-        """Return the camera with the poses of the given frames; first and last pose extend.
+        """Return the camera with the poses of the given frames; beyond the ends, with the nearest.
 
         Its poses must have an axis of frames, of length one for a fixed camera.
         """

@@ -156,7 +156,7 @@ def carried_translation(
     T: Float[Tensor, "*batch 4 4"],
     pelvis: Float[Tensor, "*batch 3"],
 ) -> Float[Tensor, "*batch time 3"]:
-    """Return a motion's translation t after a rigid transform (R, s): R (t + p) + s - p."""
+    """Return translations t after a rigid transform R, s: R (t + p) + s - p, p the rest pelvis."""
     rest = pelvis[..., None, :]
     return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 

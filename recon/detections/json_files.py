@@ -232,7 +232,7 @@ def _flat_hand(hand: list[Any], source: str) -> list[Any]:
 
 
 def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
-    """Return MediaPipe's landmark records by person under one of `keys`; None for no such."""
+    """Return MediaPipe's landmark records by person under one of `keys`; None if none are."""
     if isinstance(entry, dict):
         key = next((key for key in keys if key in entry), None)
         entry = None if key is None else entry[key] or []
@@ -244,7 +244,7 @@ def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | 
 
 
 def landmarks(person: list[Any], axes: str, source: str) -> Float[np.ndarray, "33 numbers"]:
-    """Convert one person's 33 landmark records of MediaPipe to rows of axes and visibility.
+    """Convert a person's 33 landmark records of MediaPipe to rows: the `axes`, then visibility.
 
     Raises:
         ValueError: when there are not 33 of them, or axes are missing.

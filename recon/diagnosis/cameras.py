@@ -178,13 +178,13 @@ class SlowestFootSpeeds:
 
     @property
     def camera_moves(self) -> bool:
-        """Whether the camera surely moves, as even resting feet move in the image."""
+        """Whether the camera surely moves: even resting feet move in the image."""
         never_rests = self.brief > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.flying)
         return self.speed > _MOVING_M_S and (self.flying < _FLYING_M_S or never_rests)
 
     @property
     def camera_may_move(self) -> bool:
-        """Whether the camera may move, as the slowest feet move faster than resting ones do."""
+        """Whether the camera may move: even the slowest feet move faster than resting feet do."""
         return self.speed > _RESTING_M_S
 
 

@@ -175,7 +175,7 @@ class AlternativeMotion:
     @property
     def excess(self) -> float:
         """Excess of this motion's energy over the chosen motion's, as a share of the latter."""
-        if self.chosen_energy <= 0:  # as happens with data without noise
+        if self.chosen_energy <= 0:  # data without noise may be fitted exactly
             return math.inf
         return self.energy / self.chosen_energy - 1
 

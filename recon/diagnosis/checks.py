@@ -224,7 +224,7 @@ def body_findings(found: ClipFit) -> Findings:
     posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
     odd = float(posed.shape.abs().max())
-    # markers off the skin distort the shape
+    # a shape outside the human range may come from markers that are not really on the skin
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = _likely_causes(found.observations)
     said = Findings()
@@ -273,7 +273,8 @@ def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 @after_fit()
 def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
-    # feet off a calibrated ground mean that the calibration's unit is wrong
+    # if feet are fitted off the calibrated ground, the calibration is probably not in metres, and
+    # then falls and steps say nothing about the frame rate
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )

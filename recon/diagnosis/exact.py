@@ -93,7 +93,8 @@ def repaired_frozen(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     moved, hidden = step.max(1) > _MIN_STEP_M, np.zeros_like(same)
     computed = temporal_noise(points) < _MAX_COMPUTED_NOISE_M
     for point, bone in enumerate(points.bones):
-        # the root of root-relative points is always zero, which is no fault
+        # two points may well stay in place: a standing foot in data without noise, and the root of
+        # root-relative points, which is always zero
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
         for first, last in stretches(same[:, point], _MIN_EQUAL_FRAMES - 1):

@@ -73,7 +73,7 @@ def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> Resi
 
 
 def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
-    """Return the median of the finite values of every row; None for rows without."""
+    """Return the median of the finite values of every row; None for rows without any."""
     known = [row[np.isfinite(row)] for row in rows]
     return [float(np.median(row)) if len(row) > 0 else None for row in known]
 
@@ -132,7 +132,7 @@ class ExaminedClip(CheckedClip):
 
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "ExaminedClip":
-        """Return a clip with the results of its fit, before the checks of these."""
+        """Return a clip with the results of its fit, which no check has examined yet."""
         detached_estimate = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(

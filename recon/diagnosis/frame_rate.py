@@ -116,7 +116,7 @@ _RATE_FACTORS = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 
 def rates_by_balance(movement: Movement) -> Bounds:
-    """Bound the frame rate by balance: lower, contact forces may suffice for the motion."""
+    """Bound the frame rate from above where only a lower one makes the motion balanced."""
     asked = _imbalance(movement, 1.0)
     if asked >= _MAX_IMBALANCE_M:
         for factor in _RATE_FACTORS:

@@ -253,7 +253,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def order_findings(images: Images) -> tuple[Finding, ...]:
-    """Return warnings for views whose frames are out of order, as neighbours are not similar."""
+    """Return warnings for views whose frames are out of order: neighbours are not similar."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
         one, six = (_typical_distance_moved(images, v, lag) for lag in (1, 6))
@@ -373,7 +373,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # swapped left and right show only with right camera poses
+    if contradictions.repairs:  # exchanged sides are found only if camera poses are correct
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

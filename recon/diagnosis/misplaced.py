@@ -184,7 +184,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
-        # after an odd number of exchanges either the first or the last frame is wrong
+        # even counts only: an odd one leaves open whether the first or the last frame is wrong
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _after_odd_count(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
@@ -216,7 +216,7 @@ def _moments_of_exchange(
 
 
 def _after_odd_count(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Return a mask of frames after an odd number of exchanges; empty after too many."""
+    """Return a mask of frames after an odd number of exchanges; false if there are too many."""
     odd = np.cumsum(exchanges) % 2 == 1
     return odd if exchanges.sum() <= max(2, len(exchanges) // 8) else np.zeros_like(odd)
 

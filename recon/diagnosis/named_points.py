@@ -185,7 +185,7 @@ def relative_body_size(points: NamedPoints) -> float | None:
 
 
 def joints_of_impossible_bones(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
-    """Return a mask of joints whose bones to all neighbours have lengths that no person's have.
+    """Return a mask of joints whose bones to all neighbours have lengths that no person has.
 
     Args:
         points: joints; for markers the mask is false.

@@ -89,7 +89,7 @@ def mirror_warnings(images: Images) -> tuple[Finding, ...]:
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """Mirror all images; also return a finding if they agree better, and whether fully.
+    """Mirror all images; return also a finding if they agree better, and whether within the noise.
 
     One view is not enough, as it shows what the mirrored person would have done.
     """

@@ -127,7 +127,8 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
     if not groups:
         return ()
     versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
-    # fit each version alone: a batch would end early where the given names are nearly as good
+    # call `quick_fits` for each version alone: given several, it stops after the first, the given
+    # names, if that fits well, even where another version fits better
     excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))

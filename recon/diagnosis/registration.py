@@ -223,7 +223,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
     def _equations(
         self, x: _ClockAndPose, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Return Hessian, descent direction and inflation, with the prior on the shift."""
+        """Return Hessian, descent direction, and residuals' variance relative to white noise."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._shift_of_centre(x[1]) / SHIFT**2
@@ -351,7 +351,8 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # an error of a fitted velocity shifts many residuals alike, as an error of the clock does
+        # an error of a fitted velocity shifts many residuals alike, just as an error of the clock
+        # does: subtract what such errors contribute
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())

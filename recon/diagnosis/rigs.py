@@ -51,7 +51,7 @@ class TwoViewCorrection:
 
 
 def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection:
-    """Find the clock and rotation of the second view with which rays of two views miss least."""
+    """Find the clock and rotation of the second view with which rays of both meet most closely."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
     turns = _RayDistances(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))

@@ -127,7 +127,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
 
 
 def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """Return, at the least cost, a mask of frames with exchanged sides in the views `free`.
+    """Return the cheapest mask of exchanged sides, in which only the views `free` may change.
 
     False in all frames unless that saves `_MIN_SAVED_COST`.
     """

@@ -54,7 +54,7 @@ class Region:
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], top: Float[np.ndarray, "2"]) -> "Region":
-        """Return the square around a person, given the mid hips and the top of the circle."""
+        """Return the square around a person from mid hips and the top of a circle about them."""
         up = top - hips
         angle = float(np.arctan2(up[0], -up[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)
@@ -195,7 +195,7 @@ class Network:
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """Run the network on an image; return outputs of the first shape and of the shapes `more`.
+        """Run the network on an image; return the main output, then one of each shape in `more`.
 
         Of several outputs of one shape, the first by name is returned.
         """

@@ -75,7 +75,7 @@ class Board:
         return np.stack((x, y, 0 * x), -1).reshape(-1, 3).astype(np.float32) * self.square
 
     def seen_in(self, image: UInt8[np.ndarray, "height width 3"]) -> Corners | None:
-        """Find the inner corners in an image, from one at a dark square on; None if not found."""
+        """Find the inner corners in an image, the first at a dark square; None if not found."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, found = cv2.findChessboardCornersSB(grey, (self.columns, self.rows))
         if not there:

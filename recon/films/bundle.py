@@ -69,7 +69,7 @@ class SeenBackground:
         return np.einsum("nij,nj->ni", self.R[k], X[:, :3]) + self.t[k] * X[:, 3:]
 
     def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-        """Return reprojection errors over the given focal length; infinite behind a camera."""
+        """Return reprojection errors in units of the focal length; infinite behind a camera."""
         there = self.points_in_cameras(rows)
         front = there[:, 2] > _CLOSEST
         seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
@@ -94,7 +94,7 @@ class SeenBackground:
         self.drop_misfits()
 
     def drop_misfits(self) -> None:
-        """Mark a point as unknown if it fits in fewer than two, or half, of its pictures."""
+        """Mark points as unknown that fit in at most one, or less than half, of their pictures."""
         rows = np.flatnonzero(self.are_usable())
         fits = rows[self.errors(rows) < _MISFIT * NOISE]
         of_all, of_fits = (
@@ -170,7 +170,7 @@ class _Adjustment:
         return total
 
     def second_differences(self) -> Float[np.ndarray, "inner 3"]:
-        """Return second differences of cameras' positions over their standard deviation."""
+        """Return second differences of cameras' positions, divided by their standard deviation."""
         return (
             np.diff(self.scene.camera_positions()[self.moved], n=2, axis=0) / self.steadiness_std
         )

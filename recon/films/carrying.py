@@ -204,7 +204,7 @@ def _share_that_fits(scene: SeenBackground) -> float:
 def _standard_deviations(
     scene: SeenBackground, moved: Bool[np.ndarray, " pictures"], *, focal: bool
 ) -> tuple[float, float]:
-    """Return standard deviations of positions, over the path's extent, and of log focal length.
+    """Return standard deviations of positions (as shares of the path's extent) and of log focal.
 
     The scale of the path, which no point determines, is taken as known.
     """

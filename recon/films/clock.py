@@ -29,7 +29,7 @@ class FilmClock:
 
     @property
     def is_even(self) -> bool:
-        """Whether the pictures were taken at the clock's frames, but for dropped ones."""
+        """Whether pictures were taken at the clock's frames, apart from dropped frames."""
         return self.off <= _EVEN
 
     def time(self, stamp: float) -> float:

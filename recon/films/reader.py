@@ -238,7 +238,8 @@ def _detect_everybody(
         done = True
     finally:
         if unfinished is not None and state is not None and not done:
-            # after an interruption, detections of the frame after the saved state are left out
+            # an interruption may leave detections of a frame that the tracker's state lacks: these
+            # are not saved
             unfinished.add([one for one in sights[kept:] if one.frame <= state.frame], kept, state)
     return sights
 

@@ -168,7 +168,7 @@ class Tracker:
             yield one, Sight(frame, one.number, pose, mirrored)
 
     def _without_duplicates(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
-        """Return tracks without duplicates: of several on one body, that which moved least."""
+        """Return tracks without duplicates: of several on one body, the one that moved least."""
         seen.sort(key=lambda it: (it[0].body is None, it[0].distance_from_last(it[1].pose)))
         kept: list[tuple[_Track, Sight]] = []
         for track, sight in seen:

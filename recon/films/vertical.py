@@ -189,12 +189,12 @@ def _explained_share(
     length, normals = _segment_lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
     vertical = np.exp(-0.5 * off**2)
-    # two horizontal directions for each vertical; a horizontal line in space has the direction of
-    # the intersection of its segment's plane with the level, n × up
+    # `ahead` and `aside` are two horizontal directions for each vertical. The camera and a segment
+    # span a plane with a normal n: if the segment is horizontal in space, its direction is n × up.
     ahead = np.cross(ups, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     aside = np.cross(ups, ahead)
-    # (n × up)·ahead = n·aside, (n × up)·aside = -n·ahead, for the normal n of a plane
+    # the coordinates of n × up: (n × up)·ahead = n·aside and (n × up)·aside = -n·ahead
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]

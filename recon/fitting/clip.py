@@ -184,7 +184,7 @@ class ClipProblem:
             ground = (ground_by_feet if level else ground_by_posture)(start, self.body)
         moved = self.optimised_unknowns
         if self.options.knows_gravity:
-            # where z is up only the height of the ground is unknown
+            # if the z axis points up, only the height of the ground is unknown
             moved |= HEIGHT if level else GROUND
         return job.fit(job.options, job.initial_scene(start, ground), start, moved)
 

@@ -197,7 +197,7 @@ class _FingerProblem(Problem[Tensor]):
         frames, lengths = self.split_variables(x)
         out = frames.new_zeros(len(frames), _POINTS, 3, _SIZE + _BONES)
         arm = posed.points - self.place[:, None]
-        # a change dω turns the hand by J dω, with J the left Jacobian at ω, the right one at -ω
+        # a change dω turns the hand by J dω, J the left Jacobian at ω (the right one at -ω)
         out[:, 1:, :, _TURN] = -so3.hat(arm) @ right_jacobian(-frames[:, _TURN])[:, None]
         out[:, :, :, _SHIFT] = torch.eye(3).to(out)
         lever = posed.points[:, :, None] - posed.pivots[:, None]
@@ -319,7 +319,7 @@ def _residuals(
 
 
 def _excess_over_limits(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
-    """Return the angles (rad) beyond the limits; negative below the smallest angle."""
+    """Return by how much angles (rad) are beyond their limits; negative below the smallest."""
     return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
 
 

@@ -64,7 +64,7 @@ class OverlapEnergy(TensorStruct):
         return self.joints.shape[-3]
 
     def point_model(self, points: Float[Tensor, "*batch time 22 3"]) -> PointModel:
-        """Return a quadratic model of the energy about predicted joints (m)."""
+        """Return a quadratic approximation of the energy near predicted joints (m)."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
         return quadratic_model(points, self.joints, weights, squared, rate)

@@ -128,7 +128,7 @@ def with_shape_terms(
 def with_scene(
     stages: Sequence[Stage[Any]], unknowns: frozenset[str], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """Return the stages with unknowns of the scene, which move once there is a first motion.
+    """Return the stages with unknowns of the scene, optimised once there is a first motion.
 
     Args:
         stages: stages of a prior; the first that moves poses holds the scene if others follow.

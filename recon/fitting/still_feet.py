@@ -36,7 +36,7 @@ _MIN_HOLD = 0.3
 
 @dataclass(frozen=True)
 class StillFeet(TensorStruct):
-    """Energy ½ Σ h |p_t - p_(t-1)|² of ankles and toes, h from 0 to 1; m² at 30 Hz."""
+    """Energy ½ Σ h |p_t - p_(t-1)|² of ankles and toes p, with weights h (0 to 1); m², 30 Hz."""
 
     held: Float[Tensor, "*batch steps 4"]
     """h = exp(-½ (v / 0.15 m/s)²) for the speed v of a foot across its ray, between frames."""
@@ -88,7 +88,7 @@ class StillFeet(TensorStruct):
         add_differences(joints, (-1.0, 1.0), held.flatten(1))
 
     def _weights_at_steps(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
-        """Return weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
+        """Return the weights h of a motion's steps, multiplied by its frame rate / 30 Hz."""
         time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
         # 1e-3 frames are added, since rounding may put a time just before its frame
         row = ((time - self.start_time) * self.fps + 1e-3).floor().long()

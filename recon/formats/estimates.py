@@ -96,7 +96,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations_of_joints(path, arrays)
     translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ states the path of a scaled body
+    if "smpl_scaling" in arrays:  # AIST++ scales the body and its path by this
         translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):

@@ -134,7 +134,7 @@ def refuse_unwritable(output: Output) -> None:
     """
     real = output.real_path
     for place in output.places:
-        if place.is_symlink():  # realpath resolves all others but circular links
+        if place.is_symlink():  # realpath resolves all links but circular ones
             raise OSError(f"{output.path}: its links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:
@@ -152,7 +152,7 @@ def refuse_unwritable(output: Output) -> None:
         )
     for beside in (real, folder / real.name):
         clear_leftovers(beside)
-    # only an attempt to write shows a read-only file system
+    # whether the file system is read-only shows only in an attempt to write
     trial = temporary_path(folder / (real.name + ".json"))
     try:
         os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # O_EXCL fails on links

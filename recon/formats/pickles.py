@@ -39,13 +39,13 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
     try:
-        # most files are from Python 2, whose strings are bytes, which latin-1 keeps
         BINARY.check(path.stat().st_size, path)
         data = _decompressed(file.read(), path)
         kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
         source = BytesIO(data)
         if array := data.startswith(_MAGIC):
             HEADERS[np.lib.format.read_magic(source)](source)
+        # most files are from Python 2, whose strings are bytes: latin-1 decodes them without loss
         content = kind(source, encoding="latin1").load()
         if array and isinstance(content, np.ndarray):
             content = content.tolist()
@@ -57,7 +57,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
     except (
         *DAMAGE, pickle.UnpicklingError, SystemError, ImportError, NameError, struct.error,
     ) as error:  # fmt: skip
-        # errors that damaged pickles raise, by the pickle documentation
+        # errors that damaged pickles raise, according to the documentation of `pickle`
         raise FormatError(
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error

@@ -371,7 +371,7 @@ def holds_sam3d_body(path: Path) -> bool:
 
 
 def is_estimate(paths: Sequence[Path]) -> bool:
-    """Whether there is one path, and by its first bytes this file holds body parameters.
+    """Whether there is just one path, to a file whose first bytes show body parameters.
 
     Motion files of recon, which name their body by its checksum, do not count.
     """

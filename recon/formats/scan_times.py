@@ -158,7 +158,7 @@ def note_on_empty_frames(
 
 
 def _nearest_steps(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
-    """Round times to the nearest of `count` equal steps from first to last; return its number."""
+    """Return the number of each time's nearest step, of `count` equal steps from first to last."""
     return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
 
 

@@ -54,7 +54,8 @@ def vertex_count(path: Path) -> int:
             CLOUD.check(count, path, f"element {line[1][:20]}")
             vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # least bytes of a value: two characters of text; of a binary list, those of its length
+            # fewest bytes that a value takes: in text 2, a digit and a separator; in a binary file
+            # the size of its type, or for a list, which may be empty, that of its length field
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -277,7 +278,7 @@ def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
     """Sort paths by name, comparing numbers in names by value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
-        # at most 4000 digits, the most that Python converts to an integer
+        # at most 4000 digits, since Python refuses to convert more than 4300 to an integer
         parts = re.split(r"(\d{1,4000})", path.name)
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 

@@ -219,14 +219,14 @@ def _strike_frames(feet: Feet, side: int, step_peaks: Int[np.ndarray, " steps"])
 
 
 def _toe_off_frames(feet: Feet, side: int, behind_peaks: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of toe-off: the last frame of rest before the toes are farthest behind.
+    """Frames of toe-off: the end of the toes' rest before or while they are farthest behind.
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.
     """
     rests = _toe_speeds(feet, side) < LEAVING_M_S
     found: list[int] = []
     for frame in behind_peaks.tolist():
-        # toe-off: where toes are farthest behind the pelvis or, if they rest there, when that ends
+        # toe-off ends the toes' last rest before this peak, or the rest that lasts through it
         after = np.flatnonzero(~rests[frame : frame + round(SWING_S * feet.fps)])
         if len(after) == 0:
             continue

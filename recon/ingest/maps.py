@@ -133,7 +133,7 @@ _CHILD = {
 def alignments_from_rest(
     recording: SkeletonRecording, skeleton: SkeletonMap, body: BodyModel
 ) -> Float[Tensor, "bones 3 3"] | None:
-    """Return rotations from recorded bones to the model's; None if their zero is no T-pose.
+    """Return rotations from recorded bones to the model's; None if zero angles give no T-pose.
 
     At zero rotations every recorded bone has orientation I in the file's axes. The body model is
     rotated onto it (Q, orthogonal Procrustes of the joints), then each limb to the recorded

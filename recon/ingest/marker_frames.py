@@ -279,7 +279,7 @@ def _fewer_unsupported_steps(before: Tensor, after: Tensor, _: slice, steps: sli
 def _fits_better(
     before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
 ) -> bool:
-    """Return whether new poses are better: markers as near, fewer steps without their motion."""
+    """Return whether poses are better: markers as near, fewer steps that no marker supports."""
     old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
     same = int(after[steps].sum()) == int(before[steps].sum())
     better = _fewer_unsupported_steps(before, after, inside, steps) or (same and new < 0.9 * old)

@@ -82,7 +82,8 @@ class Naming:
         self._follow_and_turn(found, at, every)
         self._name_tracks()
         if unknown > _SURE:
-            for _ in range(_ROUNDS):  # names and the person's own marker offsets tell each other
+            # better names give better offsets of this person's markers, which give better names
+            for _ in range(_ROUNDS):
                 former = self.marker.copy()
                 body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
@@ -156,11 +157,11 @@ class Naming:
         kept = [found.pose] * len(self.keys)
         ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
         for some in ([at], *([k for k in both if k is not None] for both in ways)):
-            # fit two frames at once, which takes as long as one, each from its neighbour's pose
+            # fit two frames at once, which takes as long as one, each from its neighbour's pose on
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
             known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]
-            if some != [at]:  # pose by the tracks named so far, before new ones are named
+            if some != [at]:  # fit the tracks named so far, before naming others
                 pose = _fit_poses(body, pose, points, known)
             said = _log_odds_of_points(body, pose, points)
             held = [
@@ -310,6 +311,6 @@ def _log_odds_of_points(
 def _log_odds(
     away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
-    """Return log odds of normal distances against a uniform density of one per cubic metre."""
+    """Return log odds of a normal density of distances against one point per cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
     return np.maximum(near, _LEAST)

@@ -51,7 +51,7 @@ class BoneOrientations(TensorStruct):
 
 @dataclass(frozen=True)
 class FlatSoles(TensorStruct):
-    """Energy of the height of heel above ball of standing feet: half of its square, metres²."""
+    """Energy of standing feet: half the square of the height of heel above ball, metres²."""
 
     standing: Bool[Tensor, "*batch time 2"]
     """Whether the left and the right foot stand flat in each frame."""

@@ -26,7 +26,7 @@ People = list[tuple[int, Person]]
 
 
 def read_people(frames: Frames, name: str, person: int | None = None) -> Points3D | None:
-    """Read the keypoints of one person; None if none of these programs wrote the frames.
+    """Read the keypoints of one person; None if the format is another one.
 
     Args:
         frames: numbers and records of the frames.

@@ -132,7 +132,7 @@ class Tracking(TrackedPerson):
             self._add_moment(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        # steps under the pose prior alone may be too long, and are checked, which is cheap there
+        # with the pose prior alone a step may be too long; `refined` checks it at little cost
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None

@@ -79,7 +79,7 @@ def preconditioned(
 
 
 def factorised(curvature: Banded) -> Factor:
-    """Return the factor of a Hessian, damped if it is not definite; else of the identity."""
+    """Return the factor of a Hessian, damped until definite; failing that, of the identity."""
     for damping in _DAMPINGS:
         factor = Factor(curvature, damping)
         if factor.definite:

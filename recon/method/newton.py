@@ -260,7 +260,7 @@ class StageProblem(Problem[Unknowns[Any]]):
         moved: dict[str, Tensor] = {}
         for path, shape in self.scene_parts:
             flat = steps[:, start : start + shape.numel()]
-            moved[path] = flat.reshape(len(steps), *shape)  # () for the ground's height
+            moved[path] = flat.reshape(len(steps), *shape)  # shape is () for the ground's height
             start += shape.numel()
         if moved:
             paths = iter(scene.tensors())

@@ -91,7 +91,7 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
             continue
         if value.dtype == torch.bool:
             own[name] = shown
-        else:  # confidences or standard deviations: averaged, as near frames err alike
+        else:  # confidences or standard deviations: means, since errors of near frames are alike
             own[name] = _mean(in_neighbourhoods(value)[..., None], (held > 0).to(value))[..., 0]
     return sensor.derived(**own)
 

@@ -23,11 +23,11 @@ FRAME = 69
 
 @dataclass(frozen=True)
 class PointModel:
-    """A quadratic model of an energy of points at positions p: E + gᵀ dp + ½ dpᵀ A dp per point.
+    """An energy near given places of points: E + Σ (gᵀ dp + ½ dpᵀ A dp) for small shifts dp.
 
-    Energies of points fixed to bones have a method `point_model(points)` that returns it at 30 Hz,
-    points in the frame of the recording; `carried(body, shape, offsets)`, the points on a body,
-    offsets as in `Scene.offsets`; and the clock of a sensor: `fps`, `start_time`, `moments`.
+    An energy of points fixed to bones has `point_model(places)`, which returns this approximation,
+    scaled to 30 Hz, near places in the recording's frame (metres); the method `points_on_bones`,
+    which puts its points on a body; and a sensor's clock: `fps`, `start_time`, `moments`.
     """
 
     value: Float[Tensor, "*batch"]

@@ -332,7 +332,7 @@ class Sensor(TensorStruct):
         return self
 
     def fields_at(self, numbers: range) -> dict[str, Any]:
-        """Return the fields with an axis of frames at the frames `numbers`, else zero."""
+        """Return all fields with an axis of frames, at frames `numbers`; zero outside the data."""
         axis = len(self.clips)
         number = torch.tensor(numbers, dtype=torch.long)
         exists = (number >= 0) & (number < self.moments)

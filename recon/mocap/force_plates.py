@@ -108,7 +108,7 @@ class _Plate:
 def _wrench(
     analog: AnalogChannels, k: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
 ) -> Float[np.ndarray, "time 9"]:
-    """Return force, moment at the plate's origin, and its change at the surface; N, N m.
+    """Return force, moment at the plate's origin, and moment to add at its surface; N, N m.
 
     Raises:
         FormatError: when its type or channels are not known.

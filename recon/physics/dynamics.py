@@ -104,7 +104,8 @@ def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: 
     """Compute `Dynamics` from the posed bones and the second moments of the body's mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
     bends, places = second_differences(bones, fps), inner_frames(bones, fps)
-    # moments = Σ m u uᵀ: every 4th entry of u is a skinning weight; these sum to 1: first = Σ m u
+    # moments = Σ m u uᵀ; every 4th entry of u is a skinning weight, and the weights sum to 1, so
+    # that the sum of every 4th column is Σ m u
     first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
     centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
     product = places @ moments[..., None, :, :] @ bends.mT

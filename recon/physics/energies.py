@@ -54,10 +54,10 @@ def penetration(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def floating(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ_t w_t max(0, b_t - 5 mm)², b the body's lowest point, w its support; metres².
+    """½ Σ_t w_t max(0, b_t - 5 mm)², b the lowest point, w from 0 in flight to 1; metres².
 
     w is one while the motion itself needs the ground, and zero in flight: where less than a tenth
-    of the weight is carried (`zmp.supported`). The first and last frames take their
+    of the weight is carried (`zmp.share_carried`). The first and last frames take their
     neighbour's weight; a clip too short for accelerations is all supported.
     """
     weight = _for_all_frames(share_carried(dynamics_of(estimate)), estimate)
@@ -174,7 +174,7 @@ def _for_all_frames(
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
-    # the last frame that exists in each clip of the batch
+    # index in `values` of the last inner frame of each clip of the batch
     last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)

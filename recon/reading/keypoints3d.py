@@ -206,7 +206,7 @@ def _up_axis(
     given: Up | None,
     name: str,
 ) -> tuple[Up, str]:
-    """Return the up axis and the reason; of a given one, whether the person then lies."""
+    """Return the up axis and the reason, which says if the person lies by a given up axis."""
     try:
         found, reason = inferred_up(names, positions, visible, None, name)
     except UnitsError:

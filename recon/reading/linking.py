@@ -126,7 +126,7 @@ class _Assignment:
 
     @property
     def without_identities(self) -> frozenset[tuple[int, ...]]:
-        """The set of all people's last detections.
+        """The set of all people's last detections, without the people's numbers.
 
         It is equal for assignments that differ only in the people's numbers.
         """
@@ -321,7 +321,7 @@ class _LinkSearch:
         moved = frames * kept
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
-        # the new frame's share in running means: those of a new track average all its frames
+        # share of the new frame in running means; in those of a new track all frames count equally
         share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SAME else _MEMORY
         trunk = self.trunks[row]
         if not np.isnan(person.trunk) and not np.isnan(trunk):

@@ -73,7 +73,7 @@ class FilmedPerson:
     """The vertical in the camera's frame, where it is known."""
 
     def shifted(self, frames: int) -> "FilmedPerson":
-        """The view as if it had begun so many frames later."""
+        """The view as if it had begun `frames` frames later."""
         pixels, confidence = np.zeros_like(self.pixels), np.zeros_like(self.confidence)
         here = slice(max(frames, 0), len(pixels) + min(frames, 0))
         there = slice(max(-frames, 0), len(pixels) + min(-frames, 0))

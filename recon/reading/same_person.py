@@ -90,7 +90,7 @@ def across_views(
 
 
 def _with_flipped_y(views: Sequence[TrackedView]) -> Iterator[tuple[list[TrackedView], str]]:
-    """The views with reversed pixel y, in all views or in one, and a name for which."""
+    """The views with reversed pixel y, in all views or in one, and words that say in which."""
     over = [
         replace(
             view,
@@ -233,7 +233,7 @@ class _TriangulatedPairs:
                     )
 
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
-        """Median error of a group whose body has a human size and stands along z."""
+        """Median error of a group; refuse one that disagrees, or not of human size and upright."""
         members = [(v, tracks[0]) for v, tracks in group.items()]
         made = [self.pair(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
         pair = min(made, key=lambda pair: pair.error)

@@ -166,7 +166,7 @@ def _simulated_views(
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # up to 100 views: none has the seed of a view that the next --seed simulates
+        # up to 100 views: no view gets a seed that a view gets under another --seed
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()

@@ -91,7 +91,7 @@ def add_differences(
     stencil: tuple[float, ...],
     weight: Float[Tensor, "steps some_or_all_rows"],
 ) -> None:
-    """Add the energy ½ Σ_t weight_t (Σ_s stencil_s r_(t + s))² to `add_products`' c, in place."""
+    """Add ½ Σ_t weight_t (Σ_s stencil_s r_(t + s))² to the coefficients c of `add_products`."""
     steps = len(coefficients) - len(stencil) + 1
     if steps <= 0:
         return

@@ -39,7 +39,7 @@ class Curvature:
     def empty(
         cls, active: int, n: int, slots: int, device: torch.device, scaled: bool = False
     ) -> "Curvature":
-        """Make an empty history for `active` elements of n variables: steepest descent."""
+        """Make an empty history of `active` elements (n variables): they use steepest descent."""
 
         def zeros(*shape: int) -> Float64[Tensor, "..."]:
             return torch.zeros(*shape, dtype=torch.float64, device=device)

@@ -44,7 +44,7 @@ def fixed_point(places: Float[np.ndarray, "*n 2"]) -> np.ndarray:
 
 
 def save_picture(path: Path, picture: Picture) -> None:
-    """Write a picture as a PNG file; level 9 would take 12 times as long, for 6 % fewer bytes.
+    """Write a PNG file at compression level 4; level 9 takes 12 times as long for 6 % less.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.

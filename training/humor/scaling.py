@@ -68,7 +68,7 @@ class Scaling(TensorStruct):
 
 
 class ScaledNetworks(nn.Module):
-    """`HumorNetworks` with normalised inputs and outputs, called with plain numbers.
+    """`HumorNetworks` with normalised inputs and outputs, called with unscaled numbers.
 
     While it learns, states are blurred by `noise` standard deviations: a small corpus is else
     learned by heart, and steps from states beside the recorded ones are not learned at all.

@@ -155,7 +155,8 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
     third = so3.exp(differ / 3)
     rotations = legs.rotations.clone()
     rotations[:, :, list(UPPER)] = trunks.rotations[:, :, list(UPPER)]
-    # each trunk joint turns by a third of the difference; `below` turns its parent to the pelvis
+    # each trunk joint turns by a third of the difference, which has the pelvis's axes; `below`
+    # rotates from the axes of the joint's parent to those of the pelvis
     below = torch.eye(3).to(third)
     for joint in TRUNK:
         own = trunks.rotations[:, :, joint]
@@ -188,7 +189,7 @@ _CARRIERS = (0, 4, 5, 20, 21)
 
 
 def may_jump(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Mask of windows that may become flights: no hand, knee or pelvis carries, steady height."""
+    """Mask of windows that may become jumps: only feet carry weight, vertical speed is steady."""
     rising = moments.translation[..., 2].diff(dim=1) / moments.seconds.diff(dim=1)
     steady = rising.amax(1) - rising.amin(1) < _STEADY
     return steady & ~moments.ever_in_contact(*_CARRIERS)

@@ -212,7 +212,7 @@ class Source:
 
 
 def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
-    """Draw labelled clouds of training and of validation people; the two folders with them.
+    """Draw labelled clouds of training and of validation people; return the folders of both.
 
     Files `clouds_0000.npz` and so on that are there already are not made again; the same seed and
     number give the same file.
