@@ -47,7 +47,7 @@ def camera_rays(focal: float) -> np.ndarray:
     y, x = (np.mgrid[: SIZE[1] * SIDE, : SIZE[0] * SIDE] + 0.5) / SIDE - 0.5
     pixels = np.stack((x, y), -1).reshape(-1, 1, 2)
     flat = cv2.undistortPoints(pixels, camera_matrix(focal), DISTORTION)[:, 0]
-    return np.column_stack((flat, np.ones(len(flat)))).astype(np.float32)
+    return np.column_stack((flat, np.ones(len(flat))))
 
 
 def board_poses() -> list[np.ndarray]:
@@ -77,7 +77,7 @@ def picture(
     """What a camera sees of the board."""
     assert seen_by.T_camera_world is not None
     T = seen_by.T_camera_world[0] @ T_world_board
-    rays = camera_rays(seen_by.camera_matrix[0, 0]) @ T[:3, :3].astype(np.float32)
+    rays = camera_rays(seen_by.camera_matrix[0, 0]) @ T[:3, :3]
     start = -T[:3, :3].T @ T[:3, 3]
     on = start[:2] + rays[:, :2] * (-start[2] / rays[:, 2])[:, None]
     column, row = np.floor(on[:, :2] / BOARD.square).astype(int).T
