@@ -15,9 +15,12 @@ from pathlib import Path
 
 import cv2  # noqa: F401 - large, and imported here once for all sheds
 import numpy as np
+import pygltflib  # noqa: F401
 import sklearn.cluster  # noqa: F401
 import torch
+import trimesh  # noqa: F401
 import tyro  # noqa: F401
+import viser  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
 SHEDS = ("live", "people", "gait", "export", "batch", "benchmark")
