@@ -52,7 +52,9 @@ def test_frames_that_are_missing_are_unseen(tmp_path):
     found = read_table(table(tmp_path / "a.csv", "frame", [7, 8, 11, 12]))
     seen = np.isfinite(found.positions).all((1, 2))
     assert seen.tolist() == [True, True, False, False, True, True]
-    assert found.decisions == ("2 frame numbers between others are missing: these frames are taken as unseen",)
+    assert found.decisions == (
+        "2 frame numbers between others are missing: these frames are taken as unseen",
+    )
     assert len(read_table(table(tmp_path / "b.csv", "frame", [0, 2, 4])).positions) == 3
 
 
