@@ -131,8 +131,8 @@ def triangulate(
     clocks = {(v.fps, v.start_time, *v.pixels.shape[:-1]) for v in views}
     if len(clocks) != 1:
         raise ObservationError(
-            "views are triangulated moment by moment: expected one frame rate, start time and "
-            "layout, and equally many moments of all; got frame rates, times and shapes "
+            "views are triangulated moment by moment: expected one layout, frame rate, start time "
+            "and number of moments for all (cut or resample), got "
             + " and ".join(f"{fps:g} fps from {t:g} s, {tuple(n)}" for fps, t, *n in clocks)
         )
     matrix = views[0].pixels.new_zeros(*views[0].confidence.shape, 3, 3)

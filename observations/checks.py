@@ -129,7 +129,7 @@ def checked_indices(kind: str, name: str, places: Any, points: int) -> tuple[int
     places = index_tuple(places, f"{kind}.{name}")
     if len(places) != points:
         raise ObservationError(
-            f"{kind}.{name}: expected one for each of the {points} points, got {len(places)}"
+            f"{kind}.{name}: expected one entry for each of the {points} points, got {len(places)}"
         )
     return places
 
@@ -142,8 +142,8 @@ def camera_of_view(kind: str, camera: Camera, values: Tensor) -> Camera:
     """
     if camera.distortion is not None:
         raise ObservationError(
-            f"{kind}.camera: expected a camera without distortion, got coefficients; correct the "
-            "pixels first (cv2.undistortPoints with P=camera_matrix) and leave them out"
+            f"{kind}.camera: expected a camera without distortion, got coefficients; undistort "
+            "the pixels (cv2.undistortPoints, P=camera_matrix), and leave the coefficients out"
         )
     leading = values.ndim - 2
     lengthened = camera.map(
@@ -202,6 +202,6 @@ def refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor)
         far = float(away[away > FARTHEST].max())
         raise UnitsError(
             f"{kind}.{name}: expected metres, but the points of one moment lie {far:.3g} from "
-            f"their middle, where a person's lie about half a metre from it; divide millimetres "
-            "by 1000, centimetres by 100"
+            "their median, and those of a person about half a metre; divide millimetres by 1000, "
+            "centimetres by 100"
         )

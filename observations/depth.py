@@ -111,7 +111,7 @@ class PointCloud(Sensor):
         view = None if camera is None else camera_of_view("PointCloud", camera, points)
         if labels is not None and labels.present.shape != present.shape:
             raise ObservationError(
-                "PointCloud: expected labels for all points, of the shape of present, "
+                "PointCloud: expected labels for all points, of the shape of `present`, "
                 f"{tuple(present.shape)}, got {tuple(labels.present.shape)}"
             )
         deviation = None if std is None else float_tensor(std, "PointCloud.std").to(points)

@@ -42,7 +42,7 @@ def split_off_fingers(
     )
     if positions.shape[-2] != len(names) or visible.shape != positions.shape[:-1]:
         raise ObservationError(
-            f"Keypoints3D: expected {len(names)} points by their names, got positions "
+            f"Keypoints3D: expected {len(names)} points, one per name; got positions "
             f"{tuple(positions.shape)} and visible {tuple(visible.shape)}"
         )
     body = [k for k, name in enumerate(names) if name not in FINGER_POINTS]
@@ -78,9 +78,9 @@ def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*ba
     wanted = (*tuple(like.shape[:-2]), len(FINGER_POINTS), numbers)
     if found.shape != wanted:
         raise ObservationError(
-            f"fingers: expected {len(FINGER_POINTS)} points (or {2 * _OPENXR} as OpenXR's), the "
-            "left hand's first, as an array "
-            f"of shape {wanted}, coordinates and a confidence, got {tuple(found.shape)}"
+            f"fingers: expected shape {wanted}: {len(FINGER_POINTS)} points (or OpenXR's "
+            f"{2 * _OPENXR}), the left hand's first, each coordinates and a confidence; got "
+            f"{tuple(found.shape)}"
         )
     found = torch.where(found[..., -1:] > 0, found, 0.0)
     if not bool(found.isfinite().all()):

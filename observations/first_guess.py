@@ -107,8 +107,8 @@ def with_first_guess(
     if len({one.ground_known for one in observations}) > 1:
         said = ", ".join(f"{one.kind} {one.ground_known}" for one in observations)
         raise ObservationError(
-            "observations share one frame, and only some say that its z = 0 is the ground "
-            f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
+            "all observations are in one coordinate frame, but only some say that z = 0 is the "
+            f"ground (ground_known: {said}). Make ground_known the same in all, or give recon.fit "
             "ground='known' or 'unknown'; a camera states it by its pose, T_camera_world"
         )
     if start is None:

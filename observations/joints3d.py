@@ -51,7 +51,7 @@ class Joints3D(TrackedPoints):
         )  # fmt: skip
         if places and (max(places) >= len(JOINTS) or len(set(places)) < len(places)):
             raise ObservationError(
-                f"Joints3D.joints: expected numbers from 0 to 21, each once, got {places}"
+                f"Joints3D.joints: expected numbers from 0 to 21, each only once, got {places}"
             )
         self._set_fields(joints=places)
 

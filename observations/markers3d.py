@@ -140,7 +140,7 @@ def _checked_offsets(offsets: Numbers | None, points: int) -> tuple[Offset, ...]
         )
     if bool((values.norm(dim=-1) > _FARTHEST_OFFSET).any()):
         raise ObservationError(
-            f"Markers3D.offsets: expected metres from a point of the skin, got a vector of "
-            f"{float(values.norm(dim=-1).max()):.3g}; divide millimetres by 1000"
+            "Markers3D.offsets: expected vectors in metres from points of the skin, got one of "
+            f"length {float(values.norm(dim=-1).max()):.3g}; divide millimetres by 1000"
         )
     return tuple((x, y, z) for x, y, z in values.tolist())

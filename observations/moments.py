@@ -37,14 +37,14 @@ def checked_for_stream(given: Any) -> Tracker:
                 "camera of unknown pose with recon.fit, which finds the ground"
             )
         if one.camera.T_camera_world.shape[-3] > 1:
-            raise ObservationError("a stream needs cameras that stand still, got a moving one")
+            raise ObservationError("a stream needs cameras that stand still, got one that moves")
     elif one.std is not None:
         raise ObservationError(
             "a stream weights all points equally: leave out std, and give recon.Stream the noise"
         )
     if not one.ground_known:
         raise ObservationError(
-            "a stream needs a known ground: z = 0 of the recording is the floor, ground_known=True"
+            "a stream needs a known ground: make z = 0 the floor, and give ground_known=True"
         )
     return one.to(dtype=torch.float32, device="cpu")
 
@@ -64,7 +64,7 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
     if values.shape != (count, 3):
         raise ObservationError(
             f"the points changed: expected an array of shape ({count}, 3), got "
-            f"{tuple(values.shape)}; NaN marks points that are not seen"
+            f"{tuple(values.shape)}; write NaN for points that are not seen"
         )
     seen = values.isfinite().all(-1)
     values = values.where(seen[:, None], 0.0)[None]

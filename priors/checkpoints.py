@@ -110,8 +110,8 @@ def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
     """
     if name == "nc":
         raise WeightsError(
-            "weights 'nc': versions up to 0.2.0 had these; expected open, whose fits are as "
-            "accurate (docs/results.md), or the path of a file of weights"
+            "weights 'nc' came with versions up to 0.2.0 only; give 'open', with which fits are "
+            "as accurate (docs/results.md), or the path of a file of weights"
         )
     return load_checkpoint(weights_path(name, kind), kind)
 
@@ -140,22 +140,22 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
                 name: file.get_tensor(name) for name in list(file.keys())
             }
     except (SafetensorError, RuntimeError, ValueError, OSError, AttributeError) as error:
-        raise WeightsError(f"{path}: expected a safetensors file, got {error}") from error
+        raise WeightsError(f"{path}: expected a safetensors file, but {error}") from error
     try:
         about = json.loads(notes.get(ABOUT, "{}"))
     except (ValueError, RecursionError) as error:
         raise WeightsError(f"{path}: its metadata is not JSON: {error}") from error
     found = about.get("kind") if isinstance(about, dict) else None
     if found != kind:
-        raise WeightsError(f"{path}: expected {kind} weights, the file says {found!r}")
+        raise WeightsError(f"{path}: expected {kind} weights, but it holds {found!r}")
     settings = about.get("settings")
     if not isinstance(settings, dict):
-        raise WeightsError(f"{path}: expected settings by name, got {type(settings).__name__}")
+        raise WeightsError(f"{path}: expected a dict of settings, got {type(settings).__name__}")
     stated = about.get("sha256")
     if stated is not None and stated != checksum(tensors, about):
         raise WeightsError(
-            f"{path}: the checksum of the weights is not the one in the file: it was damaged or "
-            "changed since it was written; fetch or train it again"
+            f"{path}: the weights do not have the checksum stated in the file, so the file was "
+            "damaged or changed; fetch it again or train the weights again"
         )
     for name, tensor in tensors.items():
         if tensor.is_floating_point():

@@ -101,8 +101,8 @@ class Collocation(Prior[PoseVariables]):
         motion = at_tempo(motion, self.tempo)
         if bool((motion.valid.sum(-1) < 2).any()):
             raise ValueError(
-                "HuMoR needs steps between frames: expected at least two at 30 Hz, got one; "
-                "take the pose prior for single frames"
+                "HuMoR needs steps between frames: expected at least two frames at 30 Hz, got "
+                "one; take the pose prior for single frames"
             )
         return self.poses.encode(motion)
 

@@ -175,7 +175,9 @@ def roll_from(
         ValueError: when fewer than two frames are asked for.
     """
     if frames < 2:
-        raise ReconError(f"a motion from HuMoR has two frames at least, asked for {frames}")
+        raise ReconError(
+            f"a motion from HuMoR has at least two frames, got frames={frames}; ask for more"
+        )
     touching = heights_in_contact(rest_heights(humor.body, shape))[:, FEET]
     draws = 1 if footing is None or random is None else footing.draws
     bodies = humor.pelvis(shape), humor.body.rest_joints(shape), touching
@@ -322,7 +324,7 @@ def first_states(
     if not torch.equal(initial.features.cpu(), independent_features()):
         raise ValueError(
             "first states can be drawn only from a mixture over the independent features of a "
-            "state; that of HuMoR's released weights is over all features: take the weights open"
+            "state; that of HuMoR's released weights is over all features: take the weights 'open'"
         )
     drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)

@@ -47,7 +47,7 @@ class Mixture(TensorStruct):
             bad = failed.nonzero()[:, 0].tolist()
             raise ReconError(
                 f"expected positive definite covariances, but those of components {bad} are not; "
-                "leave out numbers that follow from others, or regularise more"
+                "leave out features that follow from others, or regularise more"
             )
         identity = torch.eye(means.shape[1], dtype=torch.float64, device=means.device)
         whitening = torch.linalg.solve_triangular(factor, identity.expand_as(factor), upper=False)

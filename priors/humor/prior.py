@@ -255,7 +255,7 @@ def _read_pytorch(path: Path) -> Checkpoint:
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
-        raise WeightsError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
+        raise WeightsError(f"{path}: expected a PyTorch checkpoint, but {error}") from error
     for name in ("average", "model"):
         own = found.get(name) if isinstance(found, dict) else None
         if isinstance(own, dict) and all(isinstance(t, Tensor) for t in own.values()):

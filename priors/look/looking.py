@@ -152,8 +152,8 @@ class UnseenLimbProposals:
         std = (found.log_std[:, first].exp().square() + _STD_M**2).sqrt()
         if mean_squared_deviation(away, std, seen & motion.valid[..., None]) > FAMILIAR:
             return None, (
-                "what was seen is far from what the network knows that proposes motions of limbs "
-                "that were not: they began from smooth motions, and may be wrong"
+                "the observations are unlike the data of the network that proposes motions of "
+                "unseen limbs: the fit of these limbs began from smooth motions, and may be wrong"
             )
         likely = found.log_weight[0].topk(min(_PROPOSED, found.log_weight.shape[1])).indices
         rotations = with_seen_rotations(
@@ -164,8 +164,8 @@ class UnseenLimbProposals:
         many = motion.map(lambda tensor: tensor.expand(len(rotations), *tensor.shape[1:]))
         many = many.replace(rotations=rotations, translation=place + away[:, :, 0])
         return many, (
-            f"limbs that were not seen began from {len(rotations)} motions that a network "
-            "proposed, of which the fit kept the better one"
+            f"the fit of unseen limbs began from {len(rotations)} motions that a network "
+            "proposed, and kept the best result"
         )
 
 

@@ -127,9 +127,9 @@ class LookAtPoints:
 
 def _misfit_in_words(mean_square: float) -> str:
     return (
-        f"on average the points are {mean_square**0.5:.1f} standard deviations away from what the "
-        "network proposes, so they are far from what it knows; fit them, and check their unit and "
-        "names"
+        f"on average the points are {mean_square**0.5:.1f} standard deviations away from the "
+        "motion that the network proposes, so this motion is not to be trusted; check the points' "
+        "unit and names, and fit them without the method look"
     )
 
 

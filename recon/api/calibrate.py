@@ -169,8 +169,8 @@ def calibrate(
         lens = _with_focal_length(view.files[0].camera, float(focal))
         cameras[name] = replace(lens, T_camera_world=pose[None])
     assumed = (
-        f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are off by as "
-        "much as that is"
+        f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are wrong by "
+        "the same factor as this height; give --height"
         if height is None
         else f"height {height:.2f} m: given; an average body was fitted as {tall:.2f} m"
     )
@@ -203,7 +203,8 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     files = [file for view in views for file in view.files]
     if len(set(camera_names)) < len(camera_names):
         raise ObservationError(
-            f"expected one name for each camera, got {', '.join(camera_names)}; rename the files"
+            "cameras are named after their files, so files need different names, got "
+            f"{', '.join(camera_names)}; rename one"
         )
     for what in ("layout", "fps"):
         told = {getattr(file, what) for file in files}

@@ -107,8 +107,8 @@ def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> M
     warnings = () if median <= 1000 * _NEAR else (
         Finding(
             "body surface",
-            f"the bodies {own.name!r} and {other.name!r} do not agree: half of the surface is "
-            f"more than {median:.0f} mm away",
+            f"the bodies {own.name!r} and {other.name!r} do not agree: half of the surface of one "
+            f"is more than {median:.0f} mm from the other",
             value=median / 1000,
         ),
     )  # fmt: skip

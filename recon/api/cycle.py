@@ -72,7 +72,7 @@ def cycle_report(
             )
         )
     if not all(one.ground_known for one in found.observations):
-        message = "nobody knows where the ground is; it was taken to be at z = 0"
+        message = "nothing tells where the ground is; it was taken to be at z = 0"
         warnings.append(Finding("floor", message))
     return numbers, tuple(warnings)
 

@@ -55,8 +55,9 @@ def estimate_given(
     if not isinstance(motion, Path | str) or _states_this_body(Path(motion), body):
         if unit or up or hand:
             raise ReconError(
-                "leave out unit, up and hand (of left- or right-handed axes), for estimates "
-                "of other programs: a motion of recon is in metres, right-handed, with z up"
+                "unit, up and hand (left- or right-handed axes) are options for estimates of "
+                "other programs; leave them out: a motion of recon is in metres, right-handed, "
+                "with z up"
             )
         found = motion_given(motion, body).motion
         if known_shape is not None:
@@ -66,8 +67,8 @@ def estimate_given(
     rate = read.fps if frame_rate is None else frame_rate
     if rate is None:
         raise ReconError(
-            f"{motion}: does not say how many frames there are per second; give frame_rate "
-            "(--frame-rate), that of the video"
+            f"{motion}: does not say how many frames there are per second; give the frame rate of "
+            "the video (--frame-rate, in Python frame_rate)"
         )
     usable_frame_rate(rate, "frame_rate")
     coefficients, words = _shape_to_keep_fixed(read, body, own_body, known_shape)

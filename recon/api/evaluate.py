@@ -256,7 +256,7 @@ def _camera_poses(
     if len(estimate.T_world_camera) != 1:
         raise ReconError(
             f"estimate: has {len(estimate.T_world_camera)} poses in T_world_camera, but the "
-            "observation is of a camera that stood still; expected one"
+            "observation is of a camera that stood still; expected one pose"
         )
     true = torch.from_numpy(seen.truth_T_world_camera)
     return estimate.T_world_camera[0].to(true), true

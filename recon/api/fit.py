@@ -168,7 +168,7 @@ def fit(
     )
     odd = [one for one in options.terms if not isinstance(one, Term)]
     if odd := odd + [one for one in checks or () if not callable(one)]:
-        raise ReconError(f"terms: expected recon.Term, checks: functions; got {odd[0]!r:.60}")
+        raise ReconError(f"expected recon.Term in terms, functions in checks; got {odd[0]!r:.60}")
     stopper = None
     if callback is not None or max_seconds is not None:
         limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")
@@ -219,8 +219,8 @@ def complete(
     """
     if not prior_trait(prior, "completes"):
         raise ReconError(
-            f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
-            f"`recon fit --prior {prior}`"
+            f"`recon complete` takes the priors recording and anchor, got {prior}; run `recon fit "
+            f"--prior {prior}`"
         )
     return fit(observations, prior, **how)
 

@@ -161,7 +161,7 @@ class Shape:
         """
         if self.height is None and self.like is None:
             raise ReconError(
-                "Shape: expected height, or a similar shape as like, or both; got neither"
+                "Shape: expected height, or a similar shape as `like`, or both; got neither"
             )
         from recon.body.identities import identity
         from recon.method.shape_prior import ShapePrior

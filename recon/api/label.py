@@ -79,7 +79,9 @@ class LabelledMarkers:
         """
         kind = Path(out).suffix.lower()
         if kind not in (".c3d", ".trc", ".csv"):
-            raise FormatError(f"{out}: expected a name in .c3d, .trc or .csv for named markers")
+            raise FormatError(
+                f"{out}: expected a file name that ends in .c3d, .trc or .csv for named markers"
+            )
         if kind == ".c3d" and (self.source is None or self.source.suffix.lower() != ".c3d"):
             raise FormatError(
                 f"{out}: a C3D file is written as a changed copy of the one that was read, but "
@@ -144,8 +146,8 @@ def _marked_bodies(
     if like is None:
         if markers is None:
             raise ReconError(
-                "expected a trial of the same person whose markers have names, give it with "
-                "--like; or where there is none, the set that the markers are of, with --set"
+                "nothing tells the names of the markers: give a trial of the same person whose "
+                "markers have names (--like), or, where there is none, the marker set (--set)"
             )
         return bodies_of_set(markers, body), f"the set {set}"
     trial = marker_recording(like, unit, up)
@@ -203,9 +205,12 @@ def _labelled_markers(
     lacking = [name for name in names if name not in confidence]
     said: list[str] = []
     if 1 - share > _MANY_OPEN:
-        said.append(f"{100 * (1 - share):.0f} % of the points have no name: they are doubtful")
+        said.append(
+            f"{100 * (1 - share):.0f} % of the points were left without a name, as it is doubtful "
+            "which markers they are"
+        )
     if lacking:
-        said.append(f"nowhere found: {', '.join(lacking)}")
+        said.append(f"markers found in no frame: {', '.join(lacking)}")
     held = naming.marker[numbers] >= 0
     before = np.array(seen.marker_names)[points[held]]
     after = np.array(names)[naming.marker[numbers[held]]]

@@ -110,7 +110,7 @@ def fit_and_check(
 
         return preview(clip, start, checks)
     if options.completes and start is not None:
-        raise ValueError("gait cycles are searched from many starts: leave `start` out")
+        raise ValueError("a gait cycle is fitted from many starts: leave `start` out")
     if checks is None:
         # imported only when the default checks are used
         from recon.diagnosis.checks import AFTER, BEFORE

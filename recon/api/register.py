@@ -115,7 +115,7 @@ def register(
     names = [path.stem for path in paths]
     if len(set(names)) < max(len(names), 2):
         raise ObservationError(
-            f"expected two or more cameras, each of a name of its own, got {', '.join(names)}"
+            f"expected two or more cameras with different names, got {', '.join(names)}"
         )
     with as_format_errors():
         files = [_read_points(path, camera, frame_rate, depth_scale) for path in paths]
@@ -147,8 +147,9 @@ def register(
     for name, share in zip(names, shared, strict=True):
         if share < _SHARED:
             raise ObservationError(
-                f"{name}: {share:.0%} of what it sees is seen by another camera, too, expected "
-                f"{_SHARED:.0%}: place cameras nearer to each other, or let them see the room"
+                f"{name}: another camera sees {share:.0%} of what this one sees, expected at "
+                f"least {_SHARED:.0%}: place cameras nearer to each other, or let them see the "
+                "room"
             )
     placed = {
         name: _in_world(file, pose @ T, bare=given.camera is None)
@@ -175,7 +176,8 @@ def _read_points(
         lens = next(iter(lenses.values())) if len(lenses) == 1 else lenses.get(path.name)
         if lens is None:
             raise ObservationError(
-                f"{camera}: expected a camera {path.name}, or one for all, got {', '.join(lenses)}"
+                f"{camera}: expected a camera named {path.name}, or a single camera for all "
+                f"files, got {', '.join(lenses)}"
             )
         return read_depth_images(path, lens, fps=frame_rate, depth_scale=depth_scale, points=_READ)
     if path.is_dir():

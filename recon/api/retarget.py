@@ -164,8 +164,8 @@ def ground_height(given: GivenMotion, stated_height: float | None) -> float:
     if not float(normal[2]) >= _LEVEL * length > 0:
         raise ReconError(
             f"{given.name}: its ground has the normal {[round(x, 3) for x in normal.tolist()]}, "
-            "and is not level; expected one within 1 degree of z. Turn the motion, or give the "
-            "height of its `ground`"
+            "so the ground is not level; expected a normal within 1 degree of z. Turn the motion, "
+            "or give the height of its `ground`"
         )
     return offset / length
 
@@ -212,8 +212,9 @@ def _ground_warnings(name: str, samples: PhysicsSamples, ground_given: bool) -> 
     )
     if not ground_given:
         raise ReconError(
-            f"{words} (z = 0, as nothing says where it is). Give the height of the `ground`: "
-            f"{float(lowest.median()):.2f} where it is there, or 0 to go on all the same"
+            f"{words} (taken as z = 0, since the motion does not state it). Give the height of "
+            f"the `ground`: {float(lowest.median()):.2f} if the body stands on it, or 0 to keep z "
+            "= 0"
         )
     message = f"{words}. The prior knows people on level ground alone"
     yield Finding("floor", message, value=nearest)

@@ -70,7 +70,7 @@ def _list_of_clips(given: Any) -> list[Any]:
         if given.clips == ():
             raise ReconError(
                 "clips: expected a leading axis of clips, or a list with the observations of "
-                "every clip; recon.fit takes those of one"
+                "every clip; fit a single clip with recon.fit"
             )
         return [given[k] for k in range(given.clips[0])]
     if isinstance(given, str) or not isinstance(given, Iterable):

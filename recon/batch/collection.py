@@ -101,14 +101,19 @@ def _clips_of_collection(folder: Path, root: Path) -> Iterator[SourceClip]:
         where = f"{manifest}, line {number}"
         if row.get("archive"):
             if not row.get("clip"):
-                raise ValueError(f"{where}: expected the name of a clip of {row['archive']}")
+                raise ValueError(
+                    f"{where}: expected the name of a clip of {row['archive']} in the column "
+                    "clip, got none"
+                )
             clip = SourceClip(title, row["clip"], folder / row["archive"], row["clip"], row)
         elif row.get("path", "").lower().endswith(_SUFFIXES):
             clip = SourceClip(title, _clip_name(row), folder / row["path"], None, row)
         elif row.get("path"):
             continue
         else:
-            raise ValueError(f"{where}: expected a path, or an archive and a clip in it")
+            raise ValueError(
+                f"{where}: expected a path, or an archive and a clip in it, got neither"
+            )
         parts = clip.name.split("/")
         if any(part in ("", ".", "..") for part in parts) or "\0" in clip.name:
             raise ValueError(

@@ -187,7 +187,9 @@ class _Conversion:
     ) -> SubjectModel | str | Failure:
         """Calibrate without the clips that make a calibration fail, found by bisection."""
         good, suspected = list[SourceClip](), [some]
-        result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
+        result: SubjectModel | str | Failure = Failure(
+            "error", "the calibration fails with every clip of the subject"
+        )
         while suspected:
             halves = [half for clips in suspected for half in _halves(clips)]
             jobs = [(half, self.body) for half in halves]

@@ -58,8 +58,8 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
         if same in clips:
             before, other = clips[same]
             raise ValueError(
-                f"{path}: ids occur twice: {other.name!r} in line {before} and {clip.name!r} in "
-                f"line {number} would be one file"
+                f"{path}: expected different ids, but {other.name!r} in line {before} and "
+                f"{clip.name!r} in line {number} would be written to one file; rename one"
             )
         clips[same] = number, clip
     if not clips:
@@ -101,8 +101,8 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
         raise ValueError(f"{where}: expected an id that can be a file name, got {name[:80]!r}")
     if foreign := [field.name for field in fields(FitSettings) if field.name in row]:
         raise ValueError(
-            f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
-            "settings as options, and clips with others in a batch of their own"
+            f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give them as "
+            "options, and fit clips with other values in another batch"
         )
     subject = row.get("subject")
     if subject is not None and not (isinstance(subject, str | int) and str(subject).strip()):

@@ -138,7 +138,9 @@ def nearest_shape(
         if not float(away.norm()) < _MAX_STDS:
             break
         shape = base + away
-    raise ReconError("no body of this model has these measures; give some nearer to the average")
+    raise ReconError(
+        "no body of this model has these measures; give measures nearer to the average"
+    )
 
 
 def _are_numbers(words: list[str]) -> bool:

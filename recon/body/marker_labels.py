@@ -126,8 +126,8 @@ def mapping_to_write(labels: Sequence[str]) -> str:
     shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
     more = ", ..." if len(labels) > 3 else ""
     return (
-        f"say where markers sit in a file names.json, {{{shown}{more}}}, and give it with "
-        "--mapping; landmarks are left_asis, sacrum, right_knee_lateral, ... "
+        f"write a file names.json that says where markers sit, {{{shown}{more}}}, and give the "
+        "file with --mapping; landmarks are left_asis, sacrum, right_knee_lateral, ... "
         "(docs/start/points.md)"
     )
 
@@ -162,7 +162,7 @@ def _landmark_of_label() -> Mapping[str, str]:
         known = table.setdefault(normalised_label(label), point)
         if known != point or point not in landmarks():
             raise ReconError(
-                f"markers.toml: {label!r} is both {point!r} and {known!r}; expected one"
+                f"markers.toml: {label!r} is both {point!r} and {known!r}; expected one landmark"
             )
 
     for section in ("middle", "single"):

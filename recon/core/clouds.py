@@ -106,7 +106,7 @@ def up_of_clouds(
     axis = int(extent.argmax())
     if extent[axis] > _PERSON[1]:
         return "z", ()
-    asked = f"give it with --up, one of {', '.join(get_args(Up))}"
+    asked = f"give the up axis with --up, one of {', '.join(get_args(Up))}"
     if extent[axis] < _UPRIGHT * np.delete(extent, axis).max():
         swing = np.ptp(ends, axis=0)
         steady = swing < max(_STEADIER * swing.min(), _SWAYS)

@@ -168,11 +168,13 @@ def unit_of_path(
         if abs(np.median(((METRES[one] * path[:, None] + feet) @ up).min(1))) < _NEAR_FLOOR
     ]  # fmt: skip
     if len(level) == 1:
-        return level[0], (f"unit of the translation {level[0]}: the feet are on the floor by it",)
+        return level[0], (
+            f"unit of the translation {level[0]}: in this unit the feet are on the floor",
+        )
     raise UnitsError(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
-        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if this is "
-        "right), or divide it by the scale of the body"
+        f"and its feet slide at {m:.1f} m/s. Give the unit of the translation (--unit cm or mm; m "
+        "if these numbers are right), or divide it by the scale of the body"
     )
 
 
@@ -276,7 +278,7 @@ def inferred_up(
         return up, reason
     hands, feet = (_height_range(one, positions, visible) for one in (hinted, up))
     if hands < _UPSIDE_DOWN * feet:
-        return hinted, f"up axis {hinted}: by the file's custom, the body is upside down"
+        return hinted, f"up axis {hinted}: by convention of the file; the body is upside down"
     return up, reason
 
 
@@ -304,9 +306,9 @@ def decide_up(
             axis = AXES[best]
             return found, f"up axis: {axis} points down, as the feet are farther along it{against}"
         if hinted is not None and to_head @ to_z_up(hinted)[2] >= 0.5 * abs(to_head[best]):
-            return hinted, f"up axis {hinted}: by the file's custom, the body lies or bends"
+            return hinted, f"up axis {hinted}: by convention of the file; the body lies or bends"
     elif hinted is not None:
-        return hinted, f"up axis {hinted}: by the file's custom, no head and feet tell it"
+        return hinted, f"up axis {hinted}: by convention of the file; no head and feet show it"
     described = "unknown" if to_head is None else np.array2string(to_head, precision=3)
     raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "

@@ -105,16 +105,16 @@ CLOUD = Limit(
     "more does not fit into 2 GB while it is read, and 4,096 of a frame are used: thin it out",
 )  # fmt: skip
 PADDED_CLOUD = Limit(
-    "number of frames times the points that are fitted of the fullest", 0.0, 5e7, "",
+    "number of frames times the points fitted in the fullest frame", 0.0, 5e7, "",
     "more does not fit into 2 GB while it is fitted: cut the recording",
 )  # fmt: skip
 ROTATION = Limit(
     "rotation vector", -100.0, 100.0, "rad",
-    "a turn needs pi at most; files that count on through whole turns get to a few of them",
+    "rotations need at most pi; files that add up whole turns reach a few of them",
 )  # fmt: skip
 ANGLE = Limit(
     "joint angle", -36_000.0, 36_000.0, "degrees",
-    "files that count on through whole turns get to a few of them, never to a hundred",
+    "files that add up whole turns reach a few of them, never a hundred",
 )  # fmt: skip
 ORTHOGONALITY = Limit(
     "deviation of R times its transpose from the identity", 0.0, 1e-2, "",
@@ -126,7 +126,7 @@ SHAPE = Limit(
 )  # fmt: skip
 SHAPES = Limit(
     "number of shape coefficients", 0.0, 400.0, "",
-    "SMPL-X, the largest model, has 300 and 100 of the expression",
+    "SMPL-X, the largest model, has 300, and 100 of the facial expression",
 )  # fmt: skip
 PROBABILITY = Limit(
     "probability", -1e-3, 1.001, "",
@@ -142,15 +142,15 @@ SCORE = Limit(
 )  # fmt: skip
 DEVIATION = Limit(
     "standard deviation", 0.0, 100.0, "m",
-    "what is known no better than that is not known",
+    "a value more uncertain than that tells nothing",
 )  # fmt: skip
 ANGLE_DEVIATION = Limit(
     "standard deviation of an angle", 0.0, 180.0, "degrees",
-    "what is known no better than that is not known",
+    "a value more uncertain than that tells nothing",
 )  # fmt: skip
 POINT_DEVIATION = Limit(
     "standard deviation of a measured point", 1e-6, 100.0, "m",
-    "nothing measures people to a micrometre, and what is known no better than 100 m is not known",
+    "nothing measures people to a micrometre; points uncertain by more than 100 m tell nothing",
 )  # fmt: skip
 IMAGE_SIZE = Limit(
     "image size", 8.0, 65_535.0, "pixels",
@@ -158,7 +158,7 @@ IMAGE_SIZE = Limit(
 )  # fmt: skip
 PIXEL = Limit(
     "pixel coordinate", -2e5, 2e5, "pixels",
-    "detectors guess what lies outside the image, but not by three of the largest images",
+    "detectors guess keypoints outside the image, but never so far outside",
 )  # fmt: skip
 FOCAL_LENGTH = Limit(
     "focal length", 4.0, 1e6, "pixels",
@@ -173,8 +173,8 @@ FILM_FOCAL_LENGTH = Limit(
 )
 FIELD = Limit(
     "focal length over the image's longer side", 0.1, 200.0, "",
-    "0.1 sees 157 degrees, which no lens without fisheye does; the longest telephoto lenses have "
-    "about 70: matrix and image size are of different images",
+    "0.1 is a view of 157 degrees, wider than any lens but a fisheye, and the longest lenses have "
+    "70: the camera matrix and image size are of different images",
 )  # fmt: skip
 PIXEL_ASPECT = Limit(
     "ratio of the two focal lengths", 0.25, 4.0, "",
@@ -190,7 +190,7 @@ SKEW = Limit(
 )  # fmt: skip
 DISTORTION = Limit(
     "distortion coefficient", -1e7, 1e7, "",
-    "long lenses have large ones, as they count powers of small angles, but not such",
+    "long lenses have large coefficients, as these multiply small angles, but none so large",
 )  # fmt: skip
 LENS = Limit(
     "stretch of the image by the lens, halfway to its nearer edge", 0.5, 2.0, "",
@@ -198,7 +198,7 @@ LENS = Limit(
 )  # fmt: skip
 DEPTH_SCALE = Limit(
     "depth scale", 1e-6, 0.1, "m per unit",
-    "16 bits must reach beyond 7 cm and tell apart what is 10 cm away from each other",
+    "16 bits then end within 7 cm, or neighbouring values are more than 10 cm apart",
 )  # fmt: skip
 PAYLOAD = Limit(
     "size of the unpacked arrays", 0.0, float(1 << 29), "bytes",
@@ -210,7 +210,7 @@ TEXT = Limit(
 )  # fmt: skip
 TABLE = Limit(
     "size of a skeleton's file", 0.0, float(1 << 24), "bytes",
-    "it describes some joints; motions stand in other files",
+    "a skeleton file describes some joints; motions are in other files",
 )  # fmt: skip
 JSON = Limit(
     "size of the JSON or CSV files of one camera", 0.0, float(1 << 26), "bytes",
@@ -222,7 +222,7 @@ MASKS = Limit(
 )  # fmt: skip
 PEOPLE = Limit(
     "number of people in a frame", 0.0, 100.0, "",
-    "each is compared with each; crop the images of a crowd to the person",
+    "every person is compared with every other; crop the images of a crowd to the person",
 )  # fmt: skip
 KEYPOINTS = Limit(
     "number of keypoints of a person", 0.0, 1000.0, "",

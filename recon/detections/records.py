@@ -72,7 +72,11 @@ def recognised_layout(
         return ("openpose25", _from_coco18(points), "layout openpose25: 18 keypoints, COCO model")
     if count == len(LAYOUTS["openpose25"]):
         chosen = _openpose_layout(points, name)
-        return chosen, points, f"layout {chosen}: 25 keypoints, arms and legs are whole only so"
+        return (
+            chosen,
+            points,
+            f"layout {chosen}: 25 keypoints, whose arms and legs are whole only in this order",
+        )
     if count not in _BY_COUNT:
         raise FormatError(
             f"{name}: no known layout has {count} keypoints; give one of "
@@ -202,7 +206,7 @@ def detections_of_rows(
         ]
     elif len(lengths) > 1:
         raise FormatError(
-            f"{name}: expected one number of keypoints for all people, got "
+            f"{name}: expected the same number of keypoints for all people, got "
             f"{' and '.join(map(str, lengths))}"
         )
     _check_sizes(name, frame_numbers, rows)

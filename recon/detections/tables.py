@@ -318,7 +318,9 @@ def _frame_and_person_numbers(
             f"{shape}, got {numbers.dtype} {numbers.shape} and {identity.dtype} {identity.shape}"
         )
     if (numbers < 0).any() or (np.diff(numbers.astype(np.int64)) <= 0).any():
-        raise FormatError(f"{path}: expected frame_numbers of 0 or more, each above the last")
+        raise FormatError(
+            f"{path}: expected frame_numbers of 0 or more, each larger than the one before"
+        )
     return numbers, identity
 
 

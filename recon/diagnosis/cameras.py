@@ -64,9 +64,10 @@ def lens_findings(name: str, found: ClipFit) -> Findings:
     factor = float(lens.factor[0])
     focal = float(view.camera.camera_matrix[0, ..., 0, 0].mean())
     message = (
-        f"{name}: the focal length was taken as {focal / factor:.0f} pixels and found with the "
-        f"motion as {focal:.0f} pixels; poses depend on it little, the distance of the camera as "
-        "much as it is wrong. Give a calibration (--camera) where distances matter"
+        f"{name}: the focal length was guessed as {focal / factor:.0f} pixels and estimated with "
+        f"the motion as {focal:.0f} pixels; poses depend on it little, but the camera's distance "
+        "is wrong by the same factor as the focal length. Give a calibration (--camera) where "
+        "distances matter"
     )
     said = (Finding("focal", message, value=focal),)
     return Findings(diagnosis=said) if _MIN_LENS < factor < _MAX_LENS else Findings(warnings=said)
@@ -255,11 +256,11 @@ def moving_finding(name: str, images: Images, rest: SlowestFootSpeeds) -> Findin
     )
     return Finding(
         "camera moves",
-        f"{name}: no part of any foot rests in the image: what moves least moves by "
-        f"{pixels:.0f} pixels per second ({100 * rest.speed:.0f} cm/s at the person), {how}. The "
-        "camera was declared fixed; places, headings and contacts of the fit are not to be "
-        "trusted. Film with a fixed camera, or give the camera's track (--camera-track, in Python "
-        "camera_track) as a tracker wrote it. Otherwise the feet bear nobody: the person runs, "
+        f"{name}: no part of any foot rests in the image: what moves least moves by {pixels:.0f} "
+        f"pixels per second ({100 * rest.speed:.0f} cm/s at the person), {how}. The camera was "
+        "declared fixed; places, headings and contacts of the fit are not to be trusted. Film "
+        "with a fixed camera, or give the camera's track (--camera-track, in Python camera_track) "
+        "as a tracker wrote it. If the camera stood still, no foot bears the person, who runs, "
         "skates, swims or sits",
         value=rest.speed,
     )

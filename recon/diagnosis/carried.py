@@ -136,11 +136,11 @@ def turned_camera_finding(
     return Finding(
         "camera moves",
         f"{name}: standing feet all turn about one vertical axis by {abs(rate):.0f} degrees per "
-        f"second, {turned:.0f} degrees in this clip, as nobody's do on firm "
-        "ground: the camera seems to have been carried or panned, though it is declared fixed. "
-        "Places, headings and contacts of the fit are not to be trusted: film with a fixed "
-        "camera, or give a pose for every frame (T_camera_world), or its track (--camera-track). "
-        "Otherwise the person stands on something that turns",
+        f"second, {turned:.0f} degrees in this clip, as nobody's do on firm ground: the camera "
+        "seems to have been carried or panned, though it is declared fixed. Places, headings and "
+        "contacts of the fit are not to be trusted: film with a fixed camera, or give a pose for "
+        "every frame (T_camera_world), or its track (--camera-track). If the camera stood still, "
+        "the person stands on something that turns",
         value=rate,
     )
 

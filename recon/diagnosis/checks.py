@@ -236,8 +236,8 @@ def body_findings(found: ClipFit) -> Findings:
         said += Findings(diagnosis=(Finding("body size", text, value=tall),))
     elif not SHORTEST_BODY < tall < TALLEST_BODY:
         text = (
-            f"the person would be {tall:.2f} m tall; check {sizes} (for a child this is as well "
-            "as an adult body can do)"
+            f"the person would be {tall:.2f} m tall; check {sizes} (an adult body cannot fit a "
+            "child better)"
         )
         said += Findings(warnings=(Finding("body size", text, value=tall),))
     if not said.warnings and odd > (_MAX_SHAPE_STDS_MARKERS if on_skin else _MAX_SHAPE_STDS):
@@ -367,8 +367,8 @@ def guessed(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     typical = float(np.median(std[flags][loose[flags]]))
     said = (
         f"{listed(names) if names else 'much of the body'} may be anywhere within some "
-        f"{200 * typical:.0f} cm in {int(flags.sum())} of {len(flags)} frames "
-        f"({spans(frames)}): nothing seen holds them (`joint_std` in the motion file)"
+        f"{200 * typical:.0f} cm in {int(flags.sum())} of {len(flags)} frames ({spans(frames)}): "
+        "nothing that was seen shows where (`joint_std` in the motion file)"
     )
     return clip, Findings(diagnosis=(Finding("guessed", said, names, frames, typical),))
 

@@ -115,9 +115,9 @@ def repaired_frozen(images: Images) -> tuple[Images, Findings]:
         )
         return Finding(
             "constant point",
-            f"{listed(points)} stayed at exactly the same pixel in {spans(frames)} "
-            "while other keypoints moved, as software writes that repeats the last place of what "
-            "it has lost; they were taken as not seen there",
+            f"{listed(points)} stayed at exactly the same pixel in {spans(frames)} while other "
+            "keypoints moved, as written by software that repeats the last place of lost "
+            "keypoints; they were taken as not seen there",
             points,
             frames,
             float(frozen.sum(0).max() / images.fps),
@@ -181,8 +181,8 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
         return Finding(
             "outliers",
             f"{100 * share[v]:.2g} % of the keypoints are far from where they were just before "
-            "and are just after; they were taken as not seen. Another detector, or a higher least "
-            "confidence, may help",
+            "and are just after; they were taken as not seen. Another detector, or a higher "
+            "threshold of its confidence, may help",
             (),
             stretches(np.any(outliers, axis=-1)),
             float(share[v]),

@@ -337,8 +337,8 @@ def without_outliers(
     return kept, Finding(
         "outliers",
         f"{100 * share:.3g} % of the visible positions are more than {limit:.2f} m from the body "
-        f"that the others agree on ({listed(joints)}); they were left out, and the others count "
-        "robustly",
+        f"that the others agree on ({listed(joints)}); they were left out, and the others are "
+        "weighted robustly",
         joints,
         stretches(np.any(far, axis=1)),
         share,

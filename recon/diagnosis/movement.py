@@ -162,8 +162,8 @@ def support_findings(
         if frames := stretches(resting, np.nextafter(_MIN_REST_S * movement.fps, np.inf)):
             seconds = sum(last - first + 1 for first, last in frames) / movement.fps
             said = (
-                f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: contacts are told "
-                "of feet, knees and hands with z = 0 only"
+                f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: only contacts of "
+                "feet, knees and hands with z = 0 are estimated"
             )
             return [*found, Finding("uneven ground", said, (), frames, seconds)]
     return found
@@ -190,8 +190,8 @@ def _uneven_ground_findings(movement: Movement) -> list[Finding]:
     return [
         Finding(
             "uneven ground",
-            f"feet stand at several heights, up to {most:.2f} m above the lowest: contacts are "
-            "told on the level z = 0 only",
+            f"feet stand at several heights, up to {most:.2f} m above the lowest: only contacts "
+            "with the level z = 0 are estimated",
             value=most,
         )
     ]
@@ -276,7 +276,7 @@ def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
     return Finding(
         "treadmill",
         f"standing feet are all carried along at {speed:.2f} m/s, as on a treadmill: they do not "
-        "stand still in the room, so contacts with the ground are not told",
+        "stand still in the room, so contacts with the ground are not estimated",
         value=speed,
     )
 

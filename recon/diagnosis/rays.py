@@ -101,10 +101,10 @@ def scale_findings(images: Images) -> tuple[Finding, ...]:
     return (
         Finding(
             "scale",
-            f"the cameras see a person {size:.2f} times as large as the average one: their "
-            "positions seem to be in another unit, or the pattern of the calibration to have "
-            "another size than was given (--camera-unit; a person of "
-            f"{1.7 * size:.2f} m is right as it is)",
+            f"the cameras see a person {size:.2f} times as large as the average one: the cameras' "
+            "positions seem to be in another unit, or the pattern of the calibration has another "
+            f"size than was given (--camera-unit); if the person is {1.7 * size:.2f} m tall, "
+            "nothing is wrong",
             value=size,
         ),
     )

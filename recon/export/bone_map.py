@@ -200,7 +200,7 @@ def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
         if joint not in known or joint in ("spine1", "spine2", "spine3", "neck"):
             raise ReconError(
                 f"{given}: expected names of joints such as left_knee or right_index1 (spine and "
-                f"neck are what lies between), got {joint!r:.40}"
+                f"neck are found by themselves, between pelvis and head), got {joint!r:.40}"
             )
         nodes = [k for k, own in enumerate(tree.names) if own == name]
         if len(nodes) != 1:

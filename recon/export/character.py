@@ -61,8 +61,8 @@ class Character:
             bound = _node_transforms_at_binding(file, tree, order, local, found)
             if bound is None:
                 warnings = (
-                    f"{path}: the pose in which the skin was bound cannot be read; its rest pose "
-                    "is taken to be that of its nodes",
+                    f"{path}: the pose in which the skin was bound cannot be read; the pose of "
+                    "the nodes is taken instead",
                 )
             else:
                 reference = bound
@@ -256,8 +256,8 @@ def _inverse_bind_matrices(
         return None
     if numbers.shape[0] < count or numbers.shape[1] != 16 or not np.isfinite(numbers).all():
         raise FormatError(
-            f"{file.path}: expected {count} inverse bind matrices, got {numbers.shape[0]}, or "
-            "they are not finite"
+            f"{file.path}: expected {count} inverse bind matrices of finite numbers, got "
+            f"{numbers.shape[0]}, or NaN in them"
         )
     return numbers[:count].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
 

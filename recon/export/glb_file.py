@@ -57,8 +57,8 @@ class GltfFile:
         existing_file(path)
         if path.suffix.lower() not in (".glb", ".vrm", ".gltf"):
             raise FormatError(
-                f"{path}: expected a rigged character as .glb, .vrm or .gltf; of FBX and other "
-                "formats Blender makes one: File, Import, then File, Export, glTF 2.0"
+                f"{path}: expected a rigged character as .glb, .vrm or .gltf; convert other "
+                "formats, such as FBX, in Blender: File, Import, then File, Export, glTF 2.0"
             )
         data = read_binary(path)
         if data[:4] == b"glTF":

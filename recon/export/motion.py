@@ -142,8 +142,8 @@ def export_file(
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "
-            "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that its loader poses, as betas of our body "
-            "mean nothing there"
+            "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that the robot's loader poses, as betas of "
+            "the bundled body mean nothing on it"
         )
     if (smpl is None) != (onto is None):
         raise ReconError(
@@ -236,4 +236,4 @@ def _refuse_without_output(given: dict[str, bool], target: Path | None, name: st
         ReconError: naming the option.
     """
     if target is None and (said := [one for one, by_user in given.items() if by_user]):
-        raise ReconError(f"--{said[0]} is an option of --{name} FILE, which is missing")
+        raise ReconError(f"--{said[0]} is an option of --{name} FILE, which was not given")

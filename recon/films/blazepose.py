@@ -166,8 +166,8 @@ def bundled_folder() -> Path:
         import recon_film_models
     except ImportError as error:
         raise ReconError(
-            f"films need a detector of people, and {error.name} is not installed; install both "
-            "with: pip install 'motion-recon[film]'"
+            f"films need a detector of people and the package {error.name}, which is not "
+            "installed; install both with: pip install 'motion-recon[film]'"
         ) from error
     return recon_film_models.FOLDER
 

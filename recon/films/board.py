@@ -58,12 +58,13 @@ class Board:
         )
         if size is None or min(int(size[1]), int(size[2])) < 3:
             raise ObservationError(
-                f"board: expected its inner corners as 9x6, at least 3 each way, got {board!r}"
+                "board: expected its numbers of inner corners, such as 9x6, at least 3 each way, "
+                f"got {board!r}"
             )
         metres = float(side[1]) * METRES[side[2]] if side is not None else 0.0
         if not 1e-3 <= metres <= 1.0:
             raise ObservationError(
-                f"square: expected the side of the board's squares, 1 mm to 1 m, as 25mm; got "
+                "square: expected the side of the board's squares, 1 mm to 1 m, such as 25mm; got "
                 f"{square!r}"
             )
         return cls(int(size[1]), int(size[2]), metres)
@@ -133,7 +134,8 @@ def cameras_of_board(
     lenses = {path.stem: _calibrated_lens(open_film(path), board) for path in paths}
     if len(lenses) < len(paths):
         raise ObservationError(
-            f"expected one name for each camera, got {', '.join(one.stem for one in paths)}"
+            "cameras are named after their films, so films need different names, got "
+            f"{', '.join(one.stem for one in paths)}; rename one"
         )
     said = [
         f"{name}: focal length {one.camera.camera_matrix[0, 0]:.1f} pixels, standard deviation "
@@ -204,7 +206,7 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
     if (board.columns + board.rows) % 2 == 0:
         raise ObservationError(
             f"board: one of {board.columns}x{board.rows} corners looks the same upside down, so "
-            "that cameras cannot agree on it; one number must be odd and the other even"
+            "cameras cannot agree on its direction; one number must be odd and the other even"
         )
     every, names = list(lenses.values()), list(lenses)
     poses = {0: np.eye(4)}
@@ -214,9 +216,9 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
         (known, new), moments = max(shared.items(), key=lambda one: len(one[1]))
         if len(moments) < _FEWEST_SHARED:
             raise ObservationError(
-                f"{names[new]}: sees the board at {len(moments)} moments at which another camera "
-                f"does, {_FEWEST_SHARED} are needed; start all films at one moment and hold the "
-                "board where two cameras see it, or calibrate each lens by itself"
+                f"{names[new]}: sees the board together with another camera at {len(moments)} "
+                f"moments, {_FEWEST_SHARED} are needed; start all films at one moment and hold "
+                "the board where two cameras see it, or calibrate each lens by itself"
             )
         one, other = every[known], every[new]
         places = [

@@ -67,13 +67,13 @@ def find_path(
     seen = _Observations(picture, point, pixels / focal)
     grown = list(_reconstructions(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
     if not grown:
-        return "no two of its pictures share points enough at different distances"
+        return "no two pictures share enough points at different distances"
     best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
-        return "points of its background do not agree on a path"
+        return "points of the background do not agree on a path"
     place, zoom = _standard_deviations(best, _pose_known_except(best, first), focal=not known)
     if place > _MOST_DEVIATION:
-        return "it moves too little for the distance of its background"
+        return "the camera moves too little for the distance of the background"
     whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
     R, places = whole.R[whole.placed], whole.camera_positions()[whole.placed]
     return CameraMotion(

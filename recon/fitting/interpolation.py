@@ -65,8 +65,8 @@ def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float)
     if not SHORTEST_CYCLE / 2 <= duration <= 2 * LONGEST_CYCLE:
         raise ReconError(
             f"expected a gait cycle of {SHORTEST_CYCLE / 2:g} to {2 * LONGEST_CYCLE:g} s, but the "
-            f"weights decode one of {duration:.2f} s: one of the motions is unlike those that "
-            "they were trained on; give another"
+            f"weights decode one of {duration:.2f} s: one of the motions is unlike those that the "
+            "weights were trained on; give another motion"
         )
     motion = anchors.motion(variables.shape, (ANCHORS - 1) / duration)
     return motion.replace(start_time=variables.start_time).resample(fps)

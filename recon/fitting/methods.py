@@ -62,7 +62,7 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
             found = kind()
         else:
             raise WeightsError(
-                f"weights: {prior!r} has none: it has no method load(weights, body)"
+                f"weights: the prior {prior!r} takes none, as it has no method load(weights, body)"
             )
     if is_prior(found):
         return as_prior(found)
@@ -101,7 +101,7 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     if len(known) == 0:
         raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
     ways = " or ".join((*known, *registered_places(LOOKS)))
-    raise ReconError(f"method: expected a fit under {whose} by {ways}, got {name!r}")
+    raise ReconError(f"method: {whose} is fitted by {ways}, got {name!r}")
 
 
 @dataclass(frozen=True)

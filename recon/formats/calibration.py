@@ -161,7 +161,10 @@ def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], 
             )
         found = [pair for one in files for pair in _read_cameras(one, level=level)[0].items()]
         if len(dict(found)) < len(found):
-            raise FormatError(f"{path}: expected one file per camera, got two of one name")
+            raise FormatError(
+                f"{path}: expected different names of cameras in all files, got one twice; rename "
+                "it"
+            )
         return dict(found), ()
     existing_file(path)
     match path.suffix.lower():
@@ -187,7 +190,7 @@ def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tup
         name=path.stem, matrix=value["camera_mtx"], distortion=value.get("k"),
         pose=value.get("view_mtx") if level else None,
     )  # fmt: skip
-    note = "PROX's camera pose is to its depth sensor, not to a level world: left out"
+    note = "the pose of PROX's camera relates it to a depth sensor, not to a level world: left out"
     return {path.stem: part}, () if level or "view_mtx" not in value else (note,)
 
 

@@ -36,7 +36,9 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     BINARY.check(existing_file(path).stat().st_size, path)
     data = path.read_bytes()
     if len(data) < _PNG_HEADER.size or not data.startswith(_PNG_SIGNATURE):
-        raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")
+        raise FormatError(
+            f"{path}: expected a PNG image, but the file is damaged or of another format"
+        )
     _, name, width, height, bits, colour = _PNG_HEADER.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
@@ -105,7 +107,10 @@ def read_depth_images(
     generator = np.random.default_rng(seed)
     poses, lens = camera.T_camera_world, _camera_at_origin(camera)
     if poses is not None and len(poses) not in (1, len(paths)):
-        raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
+        raise FormatError(
+            f"{folder}: expected a pose of the camera for each of {len(paths)} images, got "
+            f"{len(poses)}"
+        )
     saturated, clouds = list[bool](), list[np.ndarray]()
 
     def depth_and_mask(k: int) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,9 @@ def _read_tree(path: Path) -> Tree:
             with ZipFile(path) as archive:
                 packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
             if packed:  # compressed members could unpack to any size
-                raise ValueError(f"{packed[0].filename} is compressed, which torch never does")
+                raise ValueError(
+                    f"{packed[0].filename} is compressed, and torch.save compresses nothing"
+                )
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
         raise FormatError(
@@ -212,7 +214,7 @@ def _person_index(
     if len(people) == 1:
         return 0, []
     return number, [
-        f"person {number} of {len(people)} is taken, the one of the most frames "
+        f"person {number} of {len(people)} is taken, the one with the most frames "
         f"({frames[number]}); --person chooses another"
     ]
 
@@ -273,8 +275,8 @@ def _numeric_array(value: Any) -> np.ndarray:
     if hasattr(value, "numpy"):
         if value.numel() * value.element_size() > value.untyped_storage().nbytes():
             raise FormatError(
-                f"expected tensors that hold their numbers, got one of {tuple(value.shape)} that "
-                "repeats fewer; save tensor.contiguous()"
+                "expected tensors that store all their numbers, got one of shape "
+                f"{tuple(value.shape)} that repeats a few; save tensor.contiguous()"
             )
         return value.float().numpy()
     try:
@@ -315,7 +317,7 @@ def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:
         if mean @ to_z_up(given)[2] < -_UPRIGHT:
-            notes.append(f"up axis {given}: given, so that the body is upside down")
+            notes.append(f"up axis {given}: given, although the body is upside down then")
         return given
     axis = int(np.abs(mean).argmax())
     if np.abs(mean[axis]) < _UPRIGHT:

@@ -255,7 +255,10 @@ def _camera_of_file(file: "_FileArrays", frames: int) -> CameraArrays:
     camera = replace(checked_camera(fields, None, file.path), distortion=distortion)
     if camera.T_camera_world is not None:
         if camera.pose_count != 1 and camera.pose_count < frames:
-            raise FormatError(f"{file.path}: expected 1 or {frames} poses in T_camera_world")
+            raise FormatError(
+                f"{file.path}: expected 1 or {frames} poses in T_camera_world, got "
+                f"{camera.pose_count}"
+            )
         check_pose(camera.T_camera_world, file.path, "T_camera_world")
     return camera
 

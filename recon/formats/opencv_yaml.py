@@ -57,7 +57,9 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
     if len(set(names)) < len(names):
         raise FormatError(f"{path}: expected every camera's name once, got {', '.join(names)}")
     if without := [name for name in names if f"K_{name}" not in values]:
-        raise FormatError(f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}")
+        raise FormatError(
+            f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}, which is missing"
+        )
     return {
         name: CameraFields(
             name=name,

@@ -25,7 +25,8 @@ HEADERS = {
 }
 """NumPy's readers of the headers of arrays, by version of the format .npy."""
 _PACKED = (
-    "recordings are packed to a fifth of their size, no file of zeros is one: save it unpacked"
+    "recordings shrink to a fifth when compressed; this file seems to hold only zeros: save it "
+    "uncompressed"
 )
 _LONGEST_TEXT = 1 << 20
 """Most bytes of one text in an array; recon saves names and settings as texts."""

@@ -179,7 +179,7 @@ def _torch_storage(data: bytes) -> Any:
     import torch
 
     if data.startswith(b"PK"):
-        raise _ForbiddenNameError("a tensor in an archive, which torch never pickles")
+        raise _ForbiddenNameError("a tensor stored as a zip archive within a pickle")
     return torch.load(BytesIO(data), map_location="cpu", weights_only=True)
 
 

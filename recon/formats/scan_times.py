@@ -113,8 +113,8 @@ def frame_numbers_of_times(
     if span > _LONGEST and not fits_memory(count, len(times)):
         row = int(steps.argmax())
         raise FormatError(
-            f"{path}: {len(times)} of {count} frames have a scan, and there is none "
-            f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
+            f"{path}: only {len(times)} of {count} frames have a scan, and none follows for "
+            f"{steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
         )
     off = _largest_deviation(times, count)
     close = off * span / count <= _EVEN_SECONDS or span > _LONGEST

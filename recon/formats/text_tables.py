@@ -135,7 +135,7 @@ def numbers_of_columns(
         if not least <= len(row) <= most:
             raise FormatError(
                 f"{name}: row {line} has {len(row)} cells, the header {most}; where numbers have "
-                "commas for points, put semicolons between cells"
+                "decimal commas, put semicolons between cells"
             )
         for k, column in enumerate(columns):
             cell = row[column] if column < len(row) else ""
@@ -169,4 +169,7 @@ def with_missing_frames(
     SAMPLES.check(count * values.shape[1], name, "frames")
     filled = np.full((count, *values.shape[1:]), np.nan)
     filled[index.astype(np.int64)] = values
-    return filled, (f"{count - len(values)} frames that are missing between others are unseen",)
+    return filled, (
+        f"{count - len(values)} frame numbers between others are missing: these frames are taken "
+        "as unseen",
+    )

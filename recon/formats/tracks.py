@@ -57,8 +57,8 @@ def read_colmap(path: Path) -> "CameraTrack":
         raise FormatError(f"{path}: expected images with poses, found {len(images)}")
     if len({one[8] for one in images.values()}) > 1:
         raise FormatError(
-            f"{path}: its images are of several cameras; expected those of one film, which COLMAP "
-            "takes as one with --ImageReader.single_camera 1"
+            f"{path}: its images are of several cameras; expected those of one film: run COLMAP "
+            "with --ImageReader.single_camera 1"
         )
     found = {name: re.findall(r"\d+", Path(name).stem)[-1:] for name in images}
     names = sorted(images, key=lambda name: (int((found[name] or "0")[0]), name))
@@ -90,7 +90,10 @@ def read_tum(path: Path) -> "CameraTrack":
     table = np.array(rows).reshape(-1, 8)
     times = table[:, 0]
     if len(table) < 2 or not (np.diff(times) > 0).all():
-        raise FormatError(f"{path}: expected rising timestamps, got {len(table)} poses")
+        raise FormatError(
+            f"{path}: expected two or more poses with rising timestamps, got {len(table)}, or "
+            "timestamps that do not rise"
+        )
     frames = times.astype(np.int64) if (times == np.round(times)).all() else None
     return CameraTrack(
         rigid_transforms(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM"
@@ -102,7 +105,9 @@ def _colmap_camera(path: Path, camera_id: str) -> CameraFields:
     lines = [line.split() for line in path.read_text("utf-8").splitlines()]
     fields = next((one for one in lines if one[:1] == [camera_id]), None)
     if fields is None:
-        raise FormatError(f"{path}: expected camera {camera_id}, which images.txt names")
+        raise FormatError(
+            f"{path}: expected camera {camera_id}, which images.txt names, but it is not listed"
+        )
     names = _MODELS.get("".join(fields[1:2]), ())
     if not names or len(fields) != 4 + len(names):
         raise FormatError(
@@ -204,7 +209,7 @@ class CameraTrack:
             how = f"by time, the first pose at the first frame, {fps:g} frames per second"
         else:
             raise FormatError(
-                f"{self.producer}: {pose_count} poses for {count} frames, without times or "
+                f"{self.producer}: {pose_count} poses for {count} frames, without times or frame "
                 "numbers; give one pose for every frame"
             )
         inside = ((wanted >= known[0] - 0.5) & (wanted <= known[-1] + 0.5)).mean()

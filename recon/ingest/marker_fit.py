@@ -98,8 +98,8 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         placed = shown.nonzero()[:, 0]
         if len(placed) == 0:
             raise ReconError(
-                f"{recording.name}: no frame shows enough markers of one body to place it; there "
-                f"are {int(visible.sum(-1).max())} of {len(markers.labels)} at most"
+                f"{recording.name}: no frame shows enough markers of one body to place it; at "
+                f"most {int(visible.sum(-1).max())} of {len(markers.labels)} are seen in one frame"
             )
         chosen = _frames_with_most_markers(visible, shown)
         subject = subject_energies(recording, markers, body)

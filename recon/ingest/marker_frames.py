@@ -314,7 +314,8 @@ def jump_findings(
             Finding(
                 "jump",
                 f"{listed(joints)} move faster than the markers about them in {steps.sum()} steps "
-                f"to {spans(stretches(after))}: look there for exchanged or misplaced markers",
+                f"between frames, which end at {spans(stretches(after))}: look there for "
+                "exchanged or misplaced markers",
                 joints,
                 stretches(after),
                 float(steps.sum()),

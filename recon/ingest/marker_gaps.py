@@ -163,8 +163,8 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
             Finding(
                 "gap",
                 f"{empty.sum()} of {len(empty)} frames have too few markers to place a body "
-                f"({spans(stretches(empty))}): there the pose and place seen before and after are "
-                "held or joined, and `observed` is false",
+                f"({spans(stretches(empty))}): there the pose and place are held or interpolated "
+                "from those seen before and after, and `observed` is false",
                 (),
                 stretches(empty),
                 float(empty.sum() / fps),

@@ -76,7 +76,7 @@ def seen_markers(
         else "ground: its height is estimated, as no marker of a foot is near z = 0"
     )
     bare = (
-        (f"no marker on {listed(markers.bare)}: the prior infers what nobody saw",)
+        (f"no marker on {listed(markers.bare)}: the prior infers where these parts are",)
         if markers.bare
         else ()
     )

@@ -113,8 +113,8 @@ def named_tracks(
         naming.name_all_tracks()
     if len(np.unique(naming.marker[naming.marker >= 0])) < FEWEST_MARKERS:
         raise ReconError(
-            f"{seen.name}: its points fit the markers of {like} nowhere; expected one person with "
-            "these markers, upright at some time; check the unit (--unit) and axis (--up)"
+            f"{seen.name}: its points fit the markers of {like} in no frame; expected one person "
+            "with these markers, upright at some time; check the unit (--unit) and axis (--up)"
         )
     return naming
 

@@ -203,7 +203,8 @@ def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, l
     depth = np.interp(every, seen, np.log(hips_now[:, 2]))
     smooth = _smoothed_over_time(depth) if len(depth) >= _LEAST else depth
     said = [
-        f"size held over the clip; it varied by {np.std(sizes) / np.mean(sizes):.1%}",
+        "the person's size is held over the clip; it varied by "
+        f"{np.std(sizes) / np.mean(sizes):.1%}",
         f"jitter along the ray of {np.std(smooth - depth):.1%} of the depth was smoothed",
     ]
     return body + (hips_now * np.exp(smooth - depth)[seen - seen[0], None])[:, None], said
@@ -281,7 +282,10 @@ def _people_of_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> list[list
     """
     lead = arrays[_POINTS].shape[:-2]
     if len(lead) > 2:
-        raise FormatError(f"{path}: {_POINTS} has shape {arrays[_POINTS].shape}")
+        raise FormatError(
+            f"{path}: expected {_POINTS} with leading axes (frames, people), got the shape "
+            f"{arrays[_POINTS].shape}"
+        )
     frames, people = (*lead, 1, 1)[:2]
     FRAMES.check(frames, path)
     PEOPLE.check(people, path)
@@ -289,7 +293,10 @@ def _people_of_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> list[list
     for key, value in arrays.items():
         each = value.ndim - len(_SHAPES[key])
         if each not in (0, len(lead)) or value.shape[:each] != lead[:each]:
-            raise FormatError(f"{path}: {key} has shape {value.shape}, {_POINTS} {lead} of people")
+            raise FormatError(
+                f"{path}: expected {key} with the leading axes {lead} of {_POINTS}, got the shape "
+                f"{value.shape}"
+            )
         rows[key] = np.broadcast_to(value, (*lead, *value.shape[each:])).reshape(
             frames, people, *value.shape[each:]
         )

@@ -145,8 +145,8 @@ class Stream:
     def _push_moment(self, seen: Any, time: float | None) -> LiveEstimate | None:
         if self._sensors is None and not _is_observation(seen):
             raise ObservationError(
-                "arrays do not name their points: give Stream(template=...), an observation "
-                "with them, or push observations"
+                "arrays do not name their points: give Stream(template=...), an observation that "
+                "names them, or push observations"
             )
         last = self._last
         try:

@@ -88,8 +88,8 @@ class Prior(ABC, Generic[S]):
         del body
         if weights != "open":
             raise WeightsError(
-                f"weights: {cls.__name__} has none, got {weights!r}: it has no method "
-                "load(weights, body)"
+                f"weights: {cls.__name__} takes none, as it has no method load(weights, body); "
+                f"got {weights!r}"
             )
         return cls()
 

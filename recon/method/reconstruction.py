@@ -237,8 +237,8 @@ def checked_arguments(
         )
     if len({one.clips for one in data}) > 1:
         raise ReconError(
-            "expected observations of the same clips, got "
-            f"{', '.join(str(one.clips[0]) for one in data)} of them; give all as many"
+            "expected the same number of clips in all observations, got "
+            f"{', '.join(str(one.clips[0]) for one in data)}; give equally many clips to each"
         )
     if start is not None:
         start = checked_start(start, data, body)

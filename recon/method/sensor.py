@@ -314,8 +314,8 @@ class Sensor(TensorStruct):
         """Return the data, with a camera if any, in another frame of coordinates (metres)."""
         if self.sees is None and type(self).predict is Sensor.predict:  # defines `residuals` only
             raise ObservationError(
-                f"{type(self).__name__} cannot be given in another frame: write a method "
-                "transformed(T_new_old), or fit it with a ground that is known"
+                f"{type(self).__name__} cannot be transformed to another coordinate frame: write "
+                "a method transformed(T_new_old), or fit it with a ground that is known"
             )
         camera = None if self._camera is None else self._camera.moved(T_new_old)
         if self.vectors == "numbers":

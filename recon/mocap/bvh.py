@@ -129,7 +129,7 @@ def parse_hierarchy(head: str, name: str) -> list[_Joint]:
         if keyword in ("ROOT", "JOINT", "END"):
             if (keyword == "ROOT") != (not joints) or (joints and not open_joints):
                 raise FormatError(
-                    f"{name}: expected one tree of joints, got {line[:50]!r} outside"
+                    f"{name}: expected one tree of joints, got {line[:50]!r} outside of it"
                 )
             parent = open_joints[-1] if open_joints else -1
             title = f"{joints[parent].name}_end" if keyword == "END" else rest.strip()

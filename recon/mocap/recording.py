@@ -328,7 +328,10 @@ def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
     if len(jumps) == 0:
         return recording
     count = int(jumps[-1]) + 1
-    reason = f"{count} frame(s) cut from the start: left at {speeds.max():.0f} m/s, a T-pose"
+    reason = (
+        f"{count} frame(s) cut from the start: a T-pose, after which joints jump at "
+        f"{speeds.max():.0f} m/s"
+    )
     kept = recording.window(count, recording.frames)
     return dataclasses.replace(kept, decisions=(*recording.decisions, reason))
 

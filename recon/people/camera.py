@@ -116,11 +116,12 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
         starts=starts,
         described=(
             f"one camera for {len(alone)} people: {above:.2f} m above the ground, focal length "
-            f"{focal:.0f} pixels (each alone: "
+            f"{focal:.0f} pixels (fitted each alone: "
             + ", ".join(f"{one.focal:.0f}" for one in alone)
-            + "; so much farther away: "
+            + "; their distances were multiplied by "
             + ", ".join(f"{factor:.2f}" for factor in factors)
-            + "; up differs by " + ", ".join(f"{tilt:.1f}" for tilt in tilts) + " degrees)"
+            + "; their up directions differ from the shared one by "
+            + ", ".join(f"{tilt:.1f}" for tilt in tilts) + " degrees)"
         ),
     )  # fmt: skip
 

@@ -91,8 +91,8 @@ def people_in(
                 people.append(PersonClip(one.number, clip_between(clip, *span)))
         if not people:
             raise ObservationError(
-                f"--between {first:g} {last:g}: nobody is seen for {_LEAST_SECONDS} s in it; "
-                f"there are {'; '.join(one.note for one in found.people)}"
+                f"--between {first:g} {last:g}: nobody is seen for {_LEAST_SECONDS} s between "
+                f"these times; there are {'; '.join(one.note for one in found.people)}"
             )
     notes = [decision for one in projects for decision in one.decisions]
     return tuple(people), (*notes, *seen.decisions, *found.decisions, *elsewhen)

@@ -118,9 +118,11 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
             "of another trial, or the motion was turned since: convert it with --keep-frame"
         )
     if strange:
-        warnings.append(f"a plate was loaded under no foot {strange} times: left out")
+        warnings.append(f"{strange} loads on a plate with no foot on it were left out")
     if shared:
-        warnings.append(f"both feet stood on one plate {shared} times: left out")
+        warnings.append(
+            f"{shared} times both feet stood on one plate: its forces were left out there"
+        )
     if not known.any():
         warnings.append("no foot stood alone on a plate: there is nothing to compare")
     place[..., 2] = found.centre.numpy()[..., 2]

@@ -87,8 +87,8 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         if settings.masks is not None:
             if len(shown) != 1:
                 raise ObservationError(
-                    f"--masks are of one view, got {len(shown)} views; write the masked keypoints "
-                    "of each view to an observation file first"
+                    f"--masks works with one view, got {len(shown)}; fit one view with its masks, "
+                    "or leave --masks out"
                 )
             mask = load_silhouettes(settings.masks)
             shown = (inside_silhouettes(shown[0], mask, first_frame=views.first_frame),)

@@ -189,7 +189,8 @@ def cloud_of(
         if file.camera is None and not seen:
             raise ObservationError(
                 f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
-                "at z = 0: move the points there, or leave out what is no person"
+                "at z = 0: move the points so that it is, or leave out the points that are no "
+                "person"
             )
     if seen:
         clouds = [cloud[above_ground(cloud, _LEVEL)] for cloud in clouds]
@@ -243,9 +244,9 @@ def cloud_of(
     if beside > 0:
         moves = (
             *moves,
-            f"something else of a person's size stands beside the person in {beside} of {frames} "
-            "frames and is left out: one thing is followed from frame to frame; if it is the "
-            "wrong one, cut the other out of the scans (--masks for depth images)",
+            f"in {beside} of {frames} frames something of a person's size stands beside what is "
+            "followed as the person, and is left out; if the person was left out, cut everything "
+            "else out of the scans (--masks for depth images)",
         )
     return LoadedCloud(observation, found, T, moves)
 

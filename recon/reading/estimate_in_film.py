@@ -73,8 +73,9 @@ def view_of_estimate(
     doubts = _order_or_delay_warning(file, points)
     if error > _FAR:
         raise ObservationError(
-            f"{views.names[0]}: nobody in the film moves like the estimate; give the film that it "
-            "was told from, and a result in the frame of its camera or of one that stands still"
+            f"{views.names[0]}: nobody in the film moves like the estimate; give the film that "
+            "the estimate was made from; its coordinates must be those of the camera, or of a "
+            "world in which the camera stands still"
             + "".join(f" ({one.message})" for one in doubts)
         )
     camera = replace(file.camera, T_camera_world=T[None], focal_std=0.0, path=None)

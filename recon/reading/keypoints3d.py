@@ -154,7 +154,7 @@ def _upper_neck_renamed(known: Points3D) -> Points3D:
     if len(height) == 0 or float(np.median(height)) < _ABOVE:
         return known
     names = tuple("upper_neck" if name == "neck" else name for name in names)
-    said = "the neck is its upper end, as it lies above the shoulders"
+    said = "the point neck is the upper end of the neck, as it lies above the shoulders"
     return replace(known, names=names, decisions=(*known.decisions, said))
 
 
@@ -216,8 +216,8 @@ def _up_axis(
     if given is None:
         return found, reason
     lies = (
-        f", so that the person lies; {reason.partition(': ')[2]} along {found}: if they stand, "
-        f"leave --up out or give --up {found}"
+        f", with which the person lies; but {reason.partition(': ')[2]} along {found}: if the "
+        f"person stands, leave --up out or give --up {found}"
     )
     return given, f"up axis {given}: given" + lies * (found != given)
 

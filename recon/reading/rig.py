@@ -125,8 +125,8 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     error = float(np.median(off[seen & (seen.sum(0) >= 2)]))
     if error > _OFF:
         raise ObservationError(
-            f"the views disagree: keypoints lie {error:.1%} of the focal length off where all "
-            f"views together place them, {_OFF:.1%} at most expected; are they of one person, "
+            f"the views disagree: keypoints lie {error:.1%} of the focal length from where all "
+            f"views together place them, expected at most {_OFF:.1%}; do they show one person, "
             "filmed at the same time by cameras that stand still?"
         )
     T = np.tile(np.eye(4), (len(views), 1, 1))
@@ -213,9 +213,10 @@ def _first_poses(
             )
     if not found:
         raise ObservationError(
-            f"the cameras of {', '.join(names)} cannot be told from the person: expected two "
-            f"views that share {_FEWEST_POINTS} keypoints, at least {_AGREEING:.0%} of which "
-            "agree; let the person walk about where all cameras see it, filmed at the same time"
+            f"the poses of the cameras of {', '.join(names)} cannot be found from the person: "
+            f"expected two views that share {_FEWEST_POINTS} keypoints, at least {_AGREEING:.0%} "
+            "of which agree; let the person walk about where all cameras see it, filmed at the "
+            "same time"
         )
     (a, b), (_, pose) = max(found.items(), key=lambda item: item[1][0])
     poses = {a: np.eye(3, 4), b: pose}
@@ -261,9 +262,9 @@ def _pose_from_points(
         if share >= _AGREEING:
             return np.concatenate((cv2.Rodrigues(turn)[0], step), 1)
     raise ObservationError(
-        f"{name}: its camera cannot be told from the person: it shares {len(points)} keypoints "
-        f"with two other views, {share:.0%} of which agree; expected {_FEWEST_POINTS} and "
-        f"{_AGREEING:.0%}; leave it out, or film the person where all cameras see it"
+        f"{name}: the pose of its camera cannot be found from the person: it shares {len(points)} "
+        f"keypoints with two other views, {share:.0%} of which agree; expected {_FEWEST_POINTS} "
+        f"and {_AGREEING:.0%}; leave it out, or film the person where all cameras see it"
     )
 
 

@@ -228,8 +228,8 @@ class _TriangulatedPairs:
                 if min(errors, default=np.inf) > _CONSISTENT:
                     raise ObservationError(
                         f"{view.name} does not agree with the other views: its person {b} is "
-                        "neither the one they see nor another of theirs. Is this its camera? Else "
-                        f"leave the view out. There are {_listed_people(self.views)}"
+                        "nobody whom they see. Check that this view has its own camera, or leave "
+                        f"it out. There are {_listed_people(self.views)}"
                     )
 
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
@@ -256,8 +256,8 @@ class _TriangulatedPairs:
         found = None if up_given else corrected_up("z", pair.names, pair.points, pair.seen)
         if found is not None:
             raise ObservationError(
-                f"in the calibration's world the body stands along {found}, z was believed to "
-                f"point up; give --camera-up {found} (z for somebody who lies)"
+                f"in the calibration's world the body stands along {found}, but z was taken as "
+                f"up; give --camera-up {found}, or z if the person lies"
             )
         return float(np.median([pair.error for pair in made]))
 

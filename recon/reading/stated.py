@@ -220,7 +220,7 @@ def _with_motion(
     if isinstance(moved, str):
         note = (
             f"{found.name}: its background moves, so the camera was carried or held in the hand; "
-            f"{moved}, so its path cannot be told from the film, and it is taken as standing "
+            f"{moved}, so the path of the camera cannot be found, and it is taken as standing "
             "still: give its track (--camera-track), or places and steps are not to be trusted"
         )
         return camera, None, note

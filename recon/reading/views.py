@@ -163,7 +163,7 @@ def check_calibrated(views: Sequence[Path], how: ReadOptions) -> None:
         raise ObservationError(
             f"several views ({', '.join(map(str, views))}) need calibrated cameras; give their "
             "file with --camera, which `recon calibrate` finds from one person or a checkerboard. "
-            "Films of other moments are fitted one by one, a folder of them by `recon batch`"
+            "Films of different moments are fitted one by one, or as a folder by `recon batch`"
         )
 
 
@@ -312,8 +312,8 @@ def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) 
         return camera
     if len(pose) < first + frames:
         raise ObservationError(
-            f"camera {name}: expected 1 pose, {frames} from frame {first} on, or all "
-            f"from frame 0 on, got {len(pose)}"
+            f"camera {name}: expected 1 pose, {frames} poses from frame {first} on, or all from "
+            f"frame 0 on, got {len(pose)}"
         )
     return replace(camera, T_camera_world=pose[first : first + frames])
 

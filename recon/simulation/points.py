@@ -189,7 +189,7 @@ def scan_points(
     visible = corruption.visible(true, generator, motion.times)
     seen = corruption.with_noise(true, generator)
     if not visible.any():
-        raise ReconError("the corruption hides every point of every frame")
+        raise ReconError("the corruption hides every point of every frame; hide less")
     clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
     return PointsFile(
         points=seen[visible].numpy(),

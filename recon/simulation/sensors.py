@@ -161,8 +161,8 @@ def _simulated_views(
     cameras = cameras_around(truth, body, film, depth_camera() if kind == "depth" else None)
     if unknown_ground and len(cameras) > 1:
         raise ReconError(
-            f"{len(cameras)} views without poses cannot be combined; film with one "
-            "camera, or say where the ground is"
+            f"an unknown ground means cameras without poses, so {len(cameras)} views cannot be "
+            "combined; film with one camera, or with a known ground"
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
@@ -209,7 +209,8 @@ def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | Po
     assert camera.T_camera_world is not None
     if len(camera.T_camera_world) != 1:
         raise ReconError(
-            "a moving camera needs known poses; leave orbit out, or say where the ground is"
+            "a moving camera needs known poses, and an unknown ground means none; leave orbit "
+            "out, or film with a known ground"
         )
     true = np.linalg.inv(camera.T_camera_world[0])
     if isinstance(file, PointsFile):

@@ -312,7 +312,7 @@ def test_a_known_shape_is_corrected_by_data_as_its_deviation_allows():
     ("shape", "words"),
     [
         (17.5, "height of 1 to 2.5 metres, got 17.5"),
-        (recon.Shape(), "expected height, or a similar shape as like"),
+        (recon.Shape(), "expected height, or a similar shape as `like`"),
         (recon.Shape(height=1.7, height_std=0.0), "height_std: expected a number above 0"),
     ],
     ids=str,

@@ -186,7 +186,7 @@ def test_manifests_are_checked_line_by_line(tmp_path):
     assert read_manifest(manifest(tmp_path, good, "")) == (BatchClip("a", (tmp_path / "a.npz",)),)
     for bad, words in (
         (good, "'a' in line 1 and 'a' in line 2"),
-        ({"id": "A", "observations": "b.npz"}, "would be one file"),
+        ({"id": "A", "observations": "b.npz"}, "would be written to one file"),
         ("{", "line 2"),
         ("[" * 200_000, "line 2: expected"),
         ('{"id": ' + "7" * 10_000 + ', "observations": []}', "line 2: expected"),

@@ -173,7 +173,7 @@ def test_a_stray_frame_number_takes_no_memory(tmp_path: Path) -> None:
     """A file of 43 KB with one frame number 1,000,000 took 5.6 GB: a place for every frame."""
     frame = np.array([0, 1, 2, 3, 4, 1_000_000])
     save_observation(tmp_path / "o.npz", PointsFile(np.ones((6, 3)), frame, 30.0))
-    with pytest.raises(ValueError, match=r"there is none for 33333\.2 s after 0\.133"):
+    with pytest.raises(ValueError, match=r"none follows for 33333\.2 s after 0\.133"):
         load_observation(tmp_path / "o.npz")
 
 
@@ -285,7 +285,7 @@ def test_times_that_are_hardly_numbers(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"times\.csv.*frame rate"):
         in_time_order(tmp_path / "times.csv", files)
     (tmp_path / "times.csv").write_text("0\n1\n2\n1e9\n")
-    with pytest.raises(ValueError, match=r"times\.csv.*there is none for 1e\+09 s"):
+    with pytest.raises(ValueError, match=r"times\.csv.*none follows for 1e\+09 s"):
         in_time_order(tmp_path / "times.csv", files)
 
 

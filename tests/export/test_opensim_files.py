@@ -270,7 +270,7 @@ def test_forces_are_a_storage_with_y_up_and_csv_has_the_same_columns(
     assert (rows[:, names.index("ground_force_r_py")] == 0).all()
     capsys.readouterr()
     assert cli.run(["export", str(tmp_path / "clip.npz"), "--mass", "70", "--mot", str(mot)]) != 0
-    assert "--forces FILE, which is missing" in capsys.readouterr().err
+    assert "--forces FILE, which was not given" in capsys.readouterr().err
     assert cli.run([*asked, str(tmp_path / "grf.txt")]) != 0
     assert ".mot, .sto, .csv" in capsys.readouterr().err
 

@@ -190,7 +190,7 @@ def test_cameras_that_are_said_twice_are_refused(name, tmp_path):
         (tmp_path / "folder" / f"a{suffix}").write_text(
             "M: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1. ]\n"
         )
-    with pytest.raises(ValueError, match="one file per camera"):
+    with pytest.raises(ValueError, match="different names of cameras"):
         load_cameras(tmp_path / "folder")
 
 

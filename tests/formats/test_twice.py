@@ -36,7 +36,7 @@ def test_columns_of_one_name_are_refused(tmp_path):
 
 def test_joints_that_are_given_twice_are_refused():
     points = np.zeros((3, 2, 3))
-    with pytest.raises(recon.ObservationError, match="each once"):
+    with pytest.raises(recon.ObservationError, match="each only once"):
         recon.Joints3D(points, np.ones((3, 2), bool), (4, 4), 30.0)
 
 
@@ -52,7 +52,9 @@ def test_frames_that_are_missing_are_unseen(tmp_path):
     found = read_table(table(tmp_path / "a.csv", "frame", [7, 8, 11, 12]))
     seen = np.isfinite(found.positions).all((1, 2))
     assert seen.tolist() == [True, True, False, False, True, True]
-    assert found.decisions == ("2 frames that are missing between others are unseen",)
+    assert found.decisions == (
+        "2 frame numbers between others are missing: these frames are taken as unseen",
+    )
     assert len(read_table(table(tmp_path / "b.csv", "frame", [0, 2, 4])).positions) == 3
 
 
@@ -88,4 +90,4 @@ def test_rows_that_a_trc_leaves_out_are_unseen(tmp_path):
     found = read_trc(tmp_path / "a.trc")
     assert found.fps == 100
     assert found.visible[:, 0].tolist() == [True] * 3 + [False] + [True] * 4
-    assert any("1 frames that are missing" in said for said in found.decisions)
+    assert any("1 frame numbers between others are missing" in said for said in found.decisions)

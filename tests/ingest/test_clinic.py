@@ -124,7 +124,9 @@ def test_unnamed_markers_are_refused_with_the_file_to_write(
 ) -> None:
     names = tuple(f"Channel{k}" for k in range(len(markers.marker_names)))
     unnamed = dataclasses.replace(markers, marker_names=names)
-    with pytest.raises(ValueError, match=r'names\.json, \{"Channel0": "LANDMARK"'):
+    with pytest.raises(
+        ValueError, match=r'names\.json that says where markers sit, \{"Channel0": "LANDMARK"'
+    ):
         full_body_markers(unnamed, single)
 
 

@@ -115,7 +115,7 @@ def test_observations_and_weights_that_do_not_fit_are_refused():
     one, two = _seen(_truth()), _seen(_truth(clips=2))
     with pytest.raises(ValueError, match="at least one observation"):
         solve([], Quick())
-    with pytest.raises(ValueError, match="same clips, got 1, 2 of them"):
+    with pytest.raises(ValueError, match="same number of clips in all observations, got 1, 2"):
         solve([one, two], Quick())
     with pytest.raises(ValueError, match="one leading axis of clips"):
         solve([one[0]], Quick())

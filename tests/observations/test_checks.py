@@ -158,7 +158,9 @@ def test_outliers_are_no_other_unit(kind):
 def test_places_and_clocks_are_refused_by_name():
     values = _truth(_joints)
     seen = _hidden(values)
-    with pytest.raises(ValueError, match=r"Joints3D\.joints: expected one for each of the 22"):
+    with pytest.raises(
+        ValueError, match=r"Joints3D\.joints: expected one entry for each of the 22"
+    ):
         Joints3D(values, seen, tuple(range(21)), 30.0)
     with pytest.raises(ValueError, match=r"Joints3D\.joints: expected numbers from 0 to 21"):
         Joints3D(values, seen, tuple(range(1, 23)), 30.0)

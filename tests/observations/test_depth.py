@@ -246,7 +246,8 @@ def test_a_sensor_that_does_not_know_its_place_finds_the_ground(body):
 
 
 @pytest.mark.parametrize(
-    ("last", "said"), [(10**15, "number of frames of 1 to"), (200_000, "points that are fitted")]
+    ("last", "said"),
+    [(10**15, "number of frames of 1 to"), (200_000, "points fitted in the fullest")],
 )
 def test_frames_that_do_not_fit_into_memory_are_refused_before_any_is_taken(body, last, said):
     """A frame number of 10^15 in a simulated file, whose clock is believed, ended in numpy's

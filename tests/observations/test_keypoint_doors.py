@@ -256,7 +256,7 @@ def test_a_wrong_layout_unit_and_rate_are_named(tmp_path, settings, named):
 def test_a_wrong_axis_is_named(tmp_path):
     np.save(tmp_path / "x.npy", points("h36m17"))
     _, said = read(tmp_path / "x.npy", frame_rate=30.0, up="y")
-    assert "up axis y: given, so that the person lies" in said
+    assert "up axis y: given, with which the person lies" in said
     assert "--up z" in said
 
 
