@@ -70,13 +70,19 @@ def test_shuffled_markers_with_a_gap_and_a_ghost_get_the_names_of_a_named_trial(
 
 
 @pytest.mark.numerics
-def test_a_set_s_table_names_markers_of_somebody_unknown():
+def test_a_set_s_table_names_markers_of_somebody_unknown_who_carries_a_box():
     true = trial(slice(60, 120))
     order = np.random.default_rng(0).permutation(len(NAMES))
+    x = true.positions
+    hands = x[:, [NAMES_IN_ORDER.index("LWRA"), NAMES_IN_ORDER.index("RWRA")]].mean(
+        1, keepdims=True
+    )
+    box = hands + [[0.3, 0.1, 0.0], [0.3, -0.1, 0.0], [0.5, 0.1, 0.1], [0.5, -0.1, 0.2]]
     unnamed = dataclasses.replace(
         true,
-        marker_names=tuple(f"*{k}" for k in range(len(order))),
-        positions=true.positions[:, order],
+        marker_names=tuple(f"*{k}" for k in range(len(order) + 4)),
+        positions=np.concatenate((x[:, order], box), 1),
+        visible=np.ones((len(x), len(order) + 4), bool),
     )
     found = recon.label(unnamed, set="pig").recording
     right = 0
@@ -86,6 +92,8 @@ def test_a_set_s_table_names_markers_of_somebody_unknown():
             same = np.abs(found.positions[:, column] - true.positions[:, k]).max(-1) < 1e-9
             right += int((same & found.visible[:, column]).sum())
     assert right >= 0.85 * true.visible.sum()
+    named = found.positions[:, [name in NAMES for name in found.marker_names]]
+    assert not any(np.isclose(named, box[:, [k]]).all(-1).any() for k in range(4))
     with pytest.raises(recon.ReconError, match="expected one of the marker sets"):
         recon.label(unnamed, set="vicon")
 
