@@ -74,10 +74,9 @@ def test_a_set_s_table_names_markers_of_somebody_unknown_who_carries_a_box():
     true = trial(slice(60, 120))
     order = np.random.default_rng(0).permutation(len(NAMES))
     x = true.positions
-    hands = x[:, [NAMES_IN_ORDER.index("LWRA"), NAMES_IN_ORDER.index("RWRA")]].mean(
-        1, keepdims=True
-    )
-    box = hands + [[0.3, 0.1, 0.0], [0.3, -0.1, 0.0], [0.5, 0.1, 0.1], [0.5, -0.1, 0.2]]
+    wrists = [NAMES_IN_ORDER.index(name) for name in ("LWRA", "RWRA")]
+    corners = np.array([[0.3, 0.1, 0.0], [0.3, -0.1, 0.0], [0.5, 0.1, 0.1], [0.5, -0.1, 0.2]])
+    box = x[:, wrists].mean(1, keepdims=True) + corners
     unnamed = dataclasses.replace(
         true,
         marker_names=tuple(f"*{k}" for k in range(len(order) + 4)),
