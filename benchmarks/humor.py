@@ -140,7 +140,7 @@ def kinds(found: Mapping[str, BenchTable], told: Mapping[str, str]) -> Table:
             mean_with_interval([found[n].values[m][MAIN[n]][i] for i in some], *groups)
             for n, m in pairs
         ]
-        words = sorted({told[clips[i]] for i in some}) if kind == OTHER else []
+        words = sorted({told[clips[i]].split(",")[0] for i in some}) if kind == OTHER else []
         label = f"{kind}: {'; '.join(words)}" if words else kind
         count = f"{len(some)} of {', '.join(sorted(set(groups[1])))}"
         rows.append((errors[-1].mean, [label, count, *(spread(one, 100) for one in errors)]))
