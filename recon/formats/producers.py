@@ -218,7 +218,7 @@ PRODUCERS = (
         rb"(?m)^body_checksum$", ("refine",), "all ([above](#formats))",
     ),
     Producer(
-        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"), rb"v_template",
+        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"), rb"(?<!_)v_template(?!_)",
         _INFO, "give it with --body",
     ),
     Producer(
@@ -251,7 +251,7 @@ PRODUCERS = (
     ),
     Producer(
         "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
-        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
+        rb"(?s)\A(?!.*poses_(?:root|60Hz))(?=.*poses).*trans", _REFINE, "rate",
     ),
     Producer(
         "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
