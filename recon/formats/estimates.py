@@ -209,7 +209,7 @@ def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
 
 
 def _people_of_rows(arrays: Tree, count: int) -> Iterator[Tree]:
-    """Split rows by the columns of ids and folders of images, each person's rows in their order.
+    """Split rows by the columns of ids and the folders of images into one dictionary per person.
 
     People come in the order of their first rows. Where no such column is, or where it numbers
     the rows, all rows are one person's.
@@ -227,16 +227,13 @@ def _people_of_rows(arrays: Tree, count: int) -> Iterator[Tree]:
         yield arrays
         return
     values = {key: _numeric_array(value) for key, value in arrays.items()}
-    split = {
-        key
-        for key, value in values.items()
-        if value.ndim and len(value) == count and (value.ndim > 1 or key not in _SHAPE)
-    }
     for mine in rows.values():
-        one = {key: value[mine] if key in split else value for key, value in values.items()}
-        _, numbers = _frame_numbers(one, len(mine)) or ("", np.arange(len(mine)))
-        order = np.argsort(numbers, kind="stable") if len(numbers) == len(mine) else slice(None)
-        yield {key: value[order] if key in split else value for key, value in one.items()}
+        yield {
+            key: value[mine]
+            if value.ndim and len(value) == count and (value.ndim > 1 or key not in _SHAPE)
+            else value
+            for key, value in values.items()
+        }
 
 
 def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
@@ -253,7 +250,7 @@ def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
     key = next((key for key in columns if columns[key].shape == (count,)), None)
     if key is None:
         return None
-    names, numbers = np.unique([Path(str(k)).stem for k in columns[key]], return_inverse=True)
+    names, numbers = np.unique([str(one) for one in columns[key]], return_inverse=True)
     with suppress(FormatError):  # names without numbers are in the order of the alphabet
         numbers = np.array(frame_numbers(names.tolist(), key))[numbers]
     return key, numbers // max(1, np.gcd.reduce(np.diff(np.sort(numbers)), initial=0))
@@ -349,28 +346,25 @@ def _filled_frames(
     translation: np.ndarray,
     has_person: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill frames without the person from those before; return rotations, translations, mask."""
+    """Order by frames, and fill those without the person from the one before; return the mask."""
     frames = np.arange(len(has_person))
     column = _frame_numbers(arrays, len(has_person))
     if column is not None:
         key, ids = column
-        if len(np.unique(ids)) < len(ids) == len(has_person):
+        if ids.dtype.kind not in "iu" or not len(np.unique(ids)) == len(ids) == len(has_person):
             raise FormatError(
-                f"{path}: expected one row for every {key} of a person, got several: rows of "
-                f"several people need a column that tells them apart ({', '.join(_IDS)})"
+                f"{path}: expected whole numbers in {key}, one for every frame and each once; "
+                f"rows of several people need a column of ids ({', '.join(_IDS)})"
             )
-        if ids.dtype.kind not in "iu" or len(ids) != len(has_person) or (np.diff(ids) <= 0).any():
-            raise FormatError(f"{path}: expected rising {key}, one for every frame")
-        frames = ids - ids[0]
-    count = int(frames[-1]) + 1
+        frames = ids
+    count = int(frames.max()) - int(frames.min()) + 1
     limits.FRAMES.check(count, path, "frame_ids")
     NUMBERS.check(count * rotations[0].size, path, "frame_ids")
-    there = np.zeros(count, bool)
+    frames, there = frames - frames.min(), np.zeros(count, bool)
     there[frames] = has_person
     source = np.full(count, -1)
     source[frames[has_person]] = np.flatnonzero(has_person)
-    held = np.maximum.accumulate(source)
-    held[held < 0] = source[source >= 0][0]
+    held = source[np.maximum.accumulate(np.where(there, np.arange(count), there.argmax()))]
     return rotations[held], translation[held], there
 
 

@@ -246,7 +246,7 @@ def test_rows_of_several_people_are_split_by_their_column_of_ids(tmp_path, kind)
         torch.save({**ids, "frame_idx": torch.from_numpy(frame), "pose": torch.from_numpy(pose),
                     "trans": torch.from_numpy(place)}, path)  # fmt: skip
     if kind == "without ids":
-        with pytest.raises(FormatError, match="several people need a column .*track_id"):
+        with pytest.raises(FormatError, match=r"several people need a column of ids .*track_id"):
             read_estimate(path)
         return
     people = sorted((read_estimate(path, person=k) for k in range(2)),
@@ -280,7 +280,7 @@ def test_reading_body_parameters_as_observation_names_refine(tmp_path, kind):
     path, options = written(tmp_path / LAYOUTS[kind], kind), {}
     if kind == "amass":
         options = {"frame_rate": 30.0}
-    with pytest.raises(FormatError, match="body parameters.*recon.refine"):
+    with pytest.raises(FormatError, match=r"body parameters.*recon\.refine"):
         recon.read(path, **options)
 
 
