@@ -7,6 +7,7 @@ Read are dictionaries of arrays, nested or not, in .npz, .pt and .pkl files: GVH
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -22,16 +23,21 @@ from recon.core.coordinates import signed_axis
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Up, to_z_up
+from recon.formats.json_files import frame_numbers
 from recon.formats.opening import existing_file, load_arrays
 from recon.formats.pickles import check_tree, read_tree
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
-_ROOT = ("global_orient", "root_orient")
-_BODY = ("body_pose", "pose_body")
+_ROOT = ("global_orient", "root_orient", "poses_root")
+_BODY = ("body_pose", "pose_body", "poses_body")
 _WHOLE = ("pose_world", "poses", "pose", "fullpose", "pred_rotmat", "smpl_poses")
 _PLACE = ("trans_world", "transl", "trans", "pred_trans", "smpl_trans")
 _SHAPE = ("betas", "shape", "pred_shape")
-_FRAMES = ("frame_ids", "frame")
+_FRAMES = ("frame_ids", "frame", "frame_id", "frame_idx", "frame_index")
+_IMAGES = ("imgname", "img_name", "image_name", "img_path", "image_path")
+"""Names of columns of the images' names; their folders tell clips apart."""
+_IDS = ("id", "ids", "track_id", "track_ids", "person_id", "person_ids", "subject", "sub")
+"""Names of columns that tell whose row it is, where the rows of several people stand together."""
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _IN_CAMERA = ("incam", "_cam", "camera")
 _DAMAGE = (
@@ -192,7 +198,7 @@ def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
     """Split arrays with axes (people, frames, ...) into one dictionary per person."""
     place = _numeric_array(next(arrays[key] for key in _PLACE if key in arrays))
     if place.ndim != 3 or place.shape[1] == 1:
-        yield arrays
+        yield from _people_of_rows(arrays, len(place))
         return
     for row in range(len(place)):
         yield {
@@ -200,6 +206,54 @@ def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
             for key, value in {key: _numeric_array(value) for key, value in arrays.items()}.items()
             if value.ndim >= 2 and len(value) == len(place)
         }
+
+
+def _people_of_rows(arrays: Tree, count: int) -> Iterator[Tree]:
+    """Split rows by the columns of ids and the folders of images into one dictionary per person.
+
+    People come in the order of their first rows. Where no such column is, or where it numbers
+    the rows, all rows are one person's.
+    """
+    columns = {key: _numeric_array(arrays[key]) for key in (*_IDS, *_IMAGES) if key in arrays}
+    whose = [
+        [str(Path(str(one)).parent) if key in _IMAGES else str(one) for one in column.ravel()]
+        for key, column in columns.items()
+        if column.size == count
+    ]
+    rows: dict[tuple[str, ...], list[int]] = {}
+    for row, who in enumerate(zip(*whose, strict=True)):
+        rows.setdefault(who, []).append(row)
+    if not 0 < len(rows) < count:
+        yield arrays
+        return
+    values = {key: _numeric_array(value) for key, value in arrays.items()}
+    for mine in rows.values():
+        yield {
+            key: value[mine]
+            if value.ndim and len(value) == count and (value.ndim > 1 or key not in _SHAPE)
+            else value
+            for key, value in values.items()
+        }
+
+
+def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
+    """Return the column of frames and its name; None without one.
+
+    Names of images count by their last numbers, in steps of the greatest number that divides all
+    differences: those of a clip of which each fifth image was taken are one frame apart.
+    """
+    columns = {k: _numeric_array(arrays[k]) for k in (*_FRAMES, *_IMAGES) if k in arrays}
+    for key in (key for key in _FRAMES if key in columns and columns[key].ndim):
+        ids = columns[key].ravel()
+        whole = np.nan_to_num(ids).astype(np.int64) if ids.dtype.kind == "f" else ids
+        return key, whole if np.array_equal(whole, ids) else ids
+    key = next((key for key in columns if columns[key].shape == (count,)), None)
+    if key is None:
+        return None
+    names, numbers = np.unique([str(one) for one in columns[key]], return_inverse=True)
+    with suppress(FormatError):  # names without numbers are in the order of the alphabet
+        numbers = np.array(frame_numbers(names.tolist(), key))[numbers]
+    return key, numbers // max(1, np.gcd.reduce(np.diff(np.sort(numbers)), initial=0))
 
 
 def _person_index(
@@ -278,7 +332,7 @@ def _numeric_array(value: Any) -> np.ndarray:
                 "expected tensors that store all their numbers, got one of shape "
                 f"{tuple(value.shape)} that repeats a few; save tensor.contiguous()"
             )
-        return value.float().numpy()
+        return (value.float() if value.is_floating_point() else value).numpy()
     try:
         return np.asarray(value)
     except (ValueError, TypeError):  # e.g. nested lists of unequal lengths
@@ -292,23 +346,25 @@ def _filled_frames(
     translation: np.ndarray,
     has_person: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill frames without the person from those before; return rotations, translations, mask."""
+    """Order by frames, and fill those without the person from the one before; return the mask."""
     frames = np.arange(len(has_person))
-    key = next((key for key in _FRAMES if key in arrays), None)
-    if key is not None:
-        ids = _numeric_array(arrays[key]).ravel()
-        if ids.dtype.kind not in "iu" or len(ids) != len(has_person) or (np.diff(ids) <= 0).any():
-            raise FormatError(f"{path}: expected rising {key}, one for every frame")
-        frames = ids - ids[0]
-    count = int(frames[-1]) + 1
+    column = _frame_numbers(arrays, len(has_person))
+    if column is not None:
+        key, ids = column
+        if ids.dtype.kind not in "iu" or not len(np.unique(ids)) == len(ids) == len(has_person):
+            raise FormatError(
+                f"{path}: expected whole numbers in {key}, one for every frame and each once; "
+                f"rows of several people need a column of ids ({', '.join(_IDS)})"
+            )
+        frames = ids
+    count = int(frames.max()) - int(frames.min()) + 1
     limits.FRAMES.check(count, path, "frame_ids")
     NUMBERS.check(count * rotations[0].size, path, "frame_ids")
-    there = np.zeros(count, bool)
+    frames, there = frames - frames.min(), np.zeros(count, bool)
     there[frames] = has_person
     source = np.full(count, -1)
     source[frames[has_person]] = np.flatnonzero(has_person)
-    held = np.maximum.accumulate(source)
-    held[held < 0] = source[source >= 0][0]
+    held = source[np.maximum.accumulate(np.where(there, np.arange(count), there.argmax()))]
     return rotations[held], translation[held], there
 
 

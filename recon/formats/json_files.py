@@ -65,13 +65,18 @@ def _parsed(path: Path, data: bytes) -> Any:
     gc.disable()
     try:
         return json.loads(decoded_text(data))
-    except (RecursionError, json.JSONDecodeError) as error:
-        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
-    except ValueError as error:
+    except (RecursionError, ValueError) as error:
+        # ValueError itself is raised by an integer with too many digits for Python
         if str(path) in str(error):
             raise
-        # the error is also raised by an integer with too many digits for Python
-        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
+        broken = error if isinstance(error, json.JSONDecodeError) else None
+        lines = broken and broken.msg == "Extra data" and broken.doc[broken.pos] in "[{"
+        wrong = (
+            "one value, but several follow each other: save each in its own file, or all in a list"
+            if lines
+            else "JSON, but it is damaged"
+        )
+        raise FormatError(f"{path}: expected {wrong} ({error})") from error
     finally:
         if collects:
             gc.enable()

@@ -81,7 +81,7 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
 
 
 def holds_motion(path: str | Path) -> bool:
-    """Whether a file holds a motion, and not an observation or something else.
+    """Whether a file holds a motion with a frame rate, and not an observation or something else.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -91,7 +91,7 @@ def holds_motion(path: str | Path) -> bool:
     if path.suffix.lower() != ".npz":
         return False
     names = load_arrays(path).keys()
-    return "trans" in names and "kind" not in names
+    return "trans" in names and "kind" not in names and any(key in names for key in _RATES)
 
 
 def motion_from(

@@ -151,6 +151,11 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         names = check_sizes(path)
         with np.load(path, allow_pickle=False) as file:
+            if not names and file.files:
+                raise FormatError(
+                    f"{', '.join(file.files)}: Python objects, which are never opened; save each "
+                    "as a plain array"
+                )
             arrays = {key: file[key] for key in names}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
             raise FormatError(f"{', '.join(foreign)} are not arrays")

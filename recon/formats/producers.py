@@ -65,7 +65,24 @@ FILMS = (
 """Endings of film files."""
 _BESIDE_FILMS = (".toml", ".yml", ".yaml", ".txt", ".md")
 """Endings of files that may lie in a folder of films: calibrations and texts."""
+_OTHERS = (
+    ("Vicon Nexus", "a table", (".csv", ".txt"), rb"\A\W*(?:Trajectories|Model Outputs|Devices|"
+     rb"Joints|Segments|Events)[,;\t ]*\r?\n[\d.]+[,;\t ]*\r?\n", "export C3D"),
+    ("CMU Panoptic", POINTS_3D, (".json",), rb'"joints(?:15|19|26)"', "save a CSV of one person "
+     "with columns `NAME_x`, `NAME_y`, `NAME_z`"),
+    ("Xsens", "a recording", (".mvnx", ".mvn"), b"", "export BVH or C3D"),
+    ("Qualisys", "a recording", (".qtm",), b"", "export C3D or TSV"),
+    ("SLEAP, DeepLabCut or another program", "HDF5", (".h5", ".slp"), b"", "export CSV"),
+    ("OpenSim", "coordinates or forces", (".mot", ".sto"), b"", "give the `.trc` of the markers"),
+    ("KITTI", "LiDAR points", (".bin",), rb"(?s)\A...[\x3b-\x43\xbb-\xc3]", "save a `.pcd` or "
+     "`.ply` per frame in a folder"),
+    ("Excel", "a table", (".xlsx", ".xls"), b"", "save `.csv`"),
+    ("RealSense or ROS", "a recording", (".bag",), b"", "export depth images or `.ply`"),
+    ("Record3D", "a recording", (".r3d",), b"", "export `.ply`, or its film"),
+)  # fmt: skip
+"""Kinds of files that no verb takes, with advice; they are too many for the manual."""
 PRODUCERS = (
+    *(Producer(who, what, "", ends, mark, (), note) for who, what, ends, mark, note in _OTHERS),
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
         "`body_3d_xyz.csv`", ("/",), rb"body_3d_xyz", _FIT,
@@ -218,8 +235,8 @@ PRODUCERS = (
         rb"(?m)^body_checksum$", ("refine",), "all ([above](#formats))",
     ),
     Producer(
-        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"), rb"v_template",
-        _INFO, "give it with --body",
+        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"),
+        rb"(?<!_)v_template(?!_)", _INFO, "give it with --body",
     ),
     Producer(
         "", "a calibration of cameras", "`.npz` with `camera_matrix`, JSON with `camera_mtx`",
@@ -251,7 +268,7 @@ PRODUCERS = (
     ),
     Producer(
         "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
-        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
+        rb"(?s)\A(?!.*poses_(?:root|60Hz))(?=.*poses).*trans", _REFINE, "rate",
     ),
     Producer(
         "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",

@@ -52,7 +52,7 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     if not kind or not labels:
         raise FormatError(
             f"{name}: expected positions of markers, got {', '.join(sorted(kinds)) or 'nothing'}; "
-            "export markers from Motive"
+            "export markers from Motive, or BVH of the skeleton"
         )
     JOINTS.check(len(labels), name, "Name")
     SAMPLES.check(len(rows) * len(labels), name)

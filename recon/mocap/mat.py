@@ -33,12 +33,16 @@ def read_mat(
     """
     arrays = _read_in_other_process(existing_file(path))
     found = sorted({key.split("/")[0] for key in arrays})
+    if not found:
+        raise FormatError(
+            f"{path}: expected a struct with data, markerName and freq, as the MoCap Toolbox has; "
+            "from Qualisys, MoVi and other programs export or take C3D or TSV instead"
+        )
     if variable is None and len(found) == 1:
         variable = found[0]
     if variable not in found:
         raise FormatError(
-            f"{path}: holds the recordings {', '.join(found) or '(none)'}; choose one as "
-            f"{path.name}::NAME"
+            f"{path}: holds the recordings {', '.join(found)}; choose one as {path.name}::NAME"
         )
     name = f"{path.name}::{variable}"
     labels = tuple(arrays[f"{variable}/markerName"].tolist())

@@ -21,7 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.opening import files_of
-from recon.formats.producers import is_film, refuse_others
+from recon.formats.producers import BODIES, is_film, producer_of, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -128,6 +128,8 @@ def _read_path(
         return _sensor_of_points(file, path, body, settings)
     if holds_detections(path):
         return None
+    if (found := producer_of(path)) is not None and found.holds == BODIES:
+        raise FormatError(f"{path}: {found.how_to_read()}, and recon.refine in Python")
     if path.suffix.lower() == ".npz":
         return load_observation(path, unit=settings.unit), ()
     if path.is_dir() and (cloud_files(path) or files_of(path, _IMAGES)):

@@ -10,6 +10,7 @@ import numpy as np
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core.coordinates import notes_on_missing_path
+from recon.core.errors import FormatError
 from recon.core.hands import right_handed_signs
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
@@ -114,7 +115,7 @@ def _describe_by_kind(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
             return describe_detections(file)
         case _ if ending != ".npz":
             return _describe_recording(file, axes)
-    raise ValueError(
+    raise FormatError(
         f"{file}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
         f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
         f"{', '.join(sorted(keys))}"

@@ -176,6 +176,11 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
     return write
 
 
+def _kitti(at: Path) -> Path:
+    np.random.default_rng(0).normal(size=(50, 4)).astype("f4").tofile(at / "000000.bin")
+    return at
+
+
 def _archive(at: Path) -> Path:
     with tarfile.open(at / "a.tar.xz", "w:xz") as archive:
         archive.add(_text("a.bvh", _bvh())(at), "a.bvh")
@@ -287,6 +292,20 @@ def saved_array(path: Path, array: np.ndarray) -> Path:
 _ANNOTS = {"annots": [{"personID": 0, "keypoints": _pixels().tolist()}]}
 _LANDMARKS = [[{"x": 0.3 + 0.01 * k, "y": 0.3, "visibility": 0.9} for k in range(33)]] * 2
 SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
+    ("Vicon Nexus", "a table", ".csv"): _text(
+        "a.csv", "\ufeffTrajectories\n100\n,,Ann:LFHD,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n"
+    ),
+    ("CMU Panoptic", "3D keypoints", ".json"): lambda at: as_json(
+        at / "a.json", {"univTime": 5.1, "bodies": [{"id": 0, "joints19": [0.5] * 76}]}
+    ),
+    ("Xsens", "a recording", ".mvnx"): _text("a.mvnx", "<mvnx></mvnx>"),
+    ("Qualisys", "a recording", ".qtm"): _text("a.qtm", "QTM"),
+    ("SLEAP, DeepLabCut or another program", "HDF5", ".h5"): _text("a.h5", "HDF"),
+    ("OpenSim", "coordinates or forces", ".mot"): _text("a.mot", "Coordinates\nversion=1\n"),
+    ("KITTI", "LiDAR points", ".bin"): _kitti,
+    ("Excel", "a table", ".xlsx"): _text("a.xlsx", "PK"),
+    ("RealSense or ROS", "a recording", ".bag"): _text("a.bag", "#ROSBAG V2.0\n"),
+    ("Record3D", "a recording", ".r3d"): _text("a.r3d", "PK"),
     ("FreeMoCap", "3D keypoints", "/"): _freemocap,
     ("SAM 3D Body", "3D keypoints", ".npz"): _sam3d,
     ("AIST++", "3D keypoints", ".pkl"): _aist_points,

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+import recon
 from recon.core.errors import FormatError, ReconError
 from recon.formats.estimates import read_estimate
 from recon.formats.motions import load_motion
@@ -227,3 +228,65 @@ def test_objects_under_keys_that_are_not_needed_stay_closed(tmp_path):
         np.savez(tmp_path / "b.npz", markers_latent_vids=np.array({"a": 1}), **file)
     np.testing.assert_array_equal(read_estimate(tmp_path / "b.npz").translation, PLACE)
     assert info(tmp_path / "b.npz") == info(path)
+
+
+@pytest.mark.parametrize("kind", ["CoMotion", "CoMotion by person", "BEDLAM", "without ids"])
+def test_rows_of_several_people_are_split_by_their_column_of_ids(tmp_path, kind):
+    """Rows of two people were read as one track of twice the frames, with jumps between them."""
+    frame, who = np.repeat(np.arange(FRAMES), 2), np.tile([7, 3], FRAMES)
+    order = np.argsort(who, kind="stable")[::-1] if kind == "CoMotion by person" else slice(None)
+    frame, who = frame[order], who[order]
+    place = PLACE[frame] + 9.0 * (who == 3)[:, None]
+    pose = np.concatenate((UPRIGHT, BODY), 1)[frame]
+    if kind == "BEDLAM":
+        path, names = tmp_path / "a.npz", [f"seq_0/seq_0_{5 * k:04d}.png" for k in frame]
+        np.savez(path, imgname=names, sub=who.astype(str), pose_world=pose, trans_world=place)
+    else:
+        path, ids = tmp_path / "a.pt", {"id": torch.from_numpy(who)} if "Co" in kind else {}
+        torch.save({**ids, "frame_idx": torch.from_numpy(frame), "pose": torch.from_numpy(pose),
+                    "trans": torch.from_numpy(place)}, path)  # fmt: skip
+    if kind == "without ids":
+        with pytest.raises(FormatError, match=r"several people need a column of ids .*track_id"):
+            read_estimate(path)
+        return
+    people = sorted((read_estimate(path, person=k) for k in range(2)),
+                    key=lambda one: one.translation.mean())  # fmt: skip
+    for found, off in zip(people, (0.0, 9.0), strict=True):
+        np.testing.assert_allclose(found.translation, PLACE + off, atol=1e-5)
+
+
+def test_rotations_of_root_and_body_in_emdb_are_read(tmp_path):
+    """Files of EMDB were called AMASS and refused for the names of their rotations."""
+    smpl = {"poses_root": UPRIGHT, "poses_body": BODY, "trans": PLACE, "betas": np.zeros(10)}
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"name": "P0", "smpl": smpl}))
+    np.testing.assert_array_equal(read_estimate(tmp_path / "a.pkl").translation, PLACE)
+    assert info(tmp_path / "a.pkl")["producer"] == ""
+
+
+def test_a_key_that_begins_with_v_template_is_no_body_model(tmp_path):
+    """Files of 3DPW, which have the key v_template_clothed, were called a body model."""
+    whole = np.concatenate((UPRIGHT, BODY), 1)
+    people = {"poses": [whole, whole], "trans": [PLACE, PLACE + 1], "poses_60Hz": [],
+              "v_template_clothed": [np.zeros((9, 3))] * 2}  # fmt: skip
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(people))
+    assert "person 0 of 2" in info(tmp_path / "a.pkl")["decisions"][0]
+    np.savez(tmp_path / "a.npz", poses=whole, trans=PLACE, v_template_clothed=np.zeros((9, 3)))
+    assert info(tmp_path / "a.npz")["frames"] == FRAMES
+
+
+@pytest.mark.parametrize("kind", ["gvhmr", "wham", "slahmr", "amass"])
+def test_reading_body_parameters_as_observation_names_refine(tmp_path, kind):
+    """`recon.read` said that a film or an observation of a kind was expected."""
+    path, options = written(tmp_path / LAYOUTS[kind], kind), {}
+    if kind == "amass":
+        options = {"frame_rate": 30.0}
+    with pytest.raises(FormatError, match=r"body parameters.*recon\.refine"):
+        recon.read(path, **options)
+
+
+def test_an_npz_of_nothing_but_python_objects_is_called_so(tmp_path):
+    """ROMP's results and Human3.6M's points were said to hold "" (nothing at all)."""
+    np.savez(tmp_path / "a.npz", positions_3d=np.array({"S1": PLACE}, dtype=object))
+    for read in (info, recon.read, read_estimate):
+        with pytest.raises(FormatError, match="positions_3d: Python objects"):
+            read(tmp_path / "a.npz")

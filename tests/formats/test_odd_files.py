@@ -4,15 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from recon.body.model import BodyModel
-from recon.core.errors import ReconError
+from recon.core.errors import FormatError, ReconError
 from recon.core.layouts import keypoint_names
 from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
+from recon.formats.json_files import read_json
 from recon.formats.scans import read_scans
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.bvh import parse_bvh
+from recon.mocap.reader import read_recording
 from recon.reading.keypoints3d import points_in_metres
 from tests.formats.producer_files import points
 from tests.keypoint_scene import camera, figure, image, write_openpose
@@ -186,3 +189,21 @@ def test_keypoints_without_confidences_or_with_none_above_zero(tmp_path):
     np.savez(tmp_path / "a.npz", keypoints=pixels[None], scores=np.zeros((1, 17)))
     with pytest.raises(ReconError, match="confidence above zero"):
         read_keypoints(tmp_path / "a.npz")
+
+
+def test_json_with_a_value_on_every_line_is_not_called_damaged(tmp_path):
+    """OpenPifPaf's file of a film, a value per frame on its line, was called damaged."""
+    line = '{"frame": 1, "predictions": []}\n'
+    (tmp_path / "a.json").write_text(line * 3)
+    with pytest.raises(FormatError, match="several follow each other"):
+        read_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(line + "}")
+    with pytest.raises(FormatError, match="it is damaged"):
+        read_json(tmp_path / "a.json")
+
+
+def test_matlab_files_without_a_recording_say_what_to_export(tmp_path):
+    """Qualisys' and MoVi's .mat files were said to hold "the recordings (none)"."""
+    savemat(tmp_path / "a.mat", {"walk": {"Frames": 3.0, "Trajectories": {"Labeled": np.ones(3)}}})
+    with pytest.raises(FormatError, match=r"MoCap Toolbox.*C3D or TSV"):
+        read_recording(tmp_path / "a.mat")
