@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.core.fingers import FINGER_POINTS
+from recon.core.bone_names import LIMBS, side_and_words_of
+from recon.core.fingers import FINGER_POINTS, SIDES
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.detections.tables import plain_part_name
@@ -109,8 +110,11 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
 
     `head`, `neck`, `pelvis` and `foot` mean joints inside the body if other labels show that the
     points are a skeleton's joints, else a detector's keypoints. If no label means an ankle, `foot`
-    means the ankle, as in Human3.6M.
+    means the ankle, as in Human3.6M. Names of bones mean the joints at which the bones begin.
     """
+    if bones := limbs_of_bones(labels):
+        words = ["".join(side_and_words_of(label)[1]) for label in labels]
+        return [bones.get(k, _TRUNK_BONES.get(word)) for k, word in enumerate(words)]
     words = [_plain_spelling(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
     ankles = "left_ankle" in words
@@ -119,6 +123,40 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
         return found
     # the head joint of Kinect v2 is the middle of the head
     return ["head_centre" if one == f"head{JOINT}" else one for one in found]
+
+
+def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
+    """Return the keypoints that labels mean as names of bones, by index; {} for other labels.
+
+    Bones are known by thighs, lower legs, upper arms and forearms (LeftUpLeg, shin.L, upperarm_r),
+    which detectors do not name; the "shoulder" among them is the clavicle.
+    """
+    best: dict[str, tuple[int, int, int]] = {}
+    for k, label in enumerate(labels):
+        side, words = side_and_words_of(label)
+        for cut in range(min(len(words), 4) if side else 0):
+            word = "".join(words[cut:])
+            for joint in (one for one, known in LIMBS.items() if word in known):
+                row = (cut, LIMBS[joint].index(word), k)
+                best[f"{side}_{joint}"] = min(row, best.get(f"{side}_{joint}", row))
+    named = {one: labels[k].lower() for one, (_, _, k) in best.items()}
+    for one in (f"{side}_{joint}" for side in SIDES for joint in _OF_BONES):
+        if one not in named or one.partition("_")[2] in named[one]:
+            return {}
+    # the foot comes first, as a bone called foot is the ankle if there are no toes
+    return {
+        best[one][2]: f"{one}{JOINT}" if one.endswith("foot") else one
+        for one in sorted(best, key=lambda one: not one.endswith("foot"))
+    }
+
+
+_OF_BONES = ("hip", "knee", "shoulder", "elbow")
+"""Joints that detectors call so, and skeletons by the bone below."""
+_TRUNK_BONES = {
+    "hips": f"pelvis{JOINT}", "pelvis": f"pelvis{JOINT}", "neck": f"neck{JOINT}",
+    "head": f"head{JOINT}",
+}  # fmt: skip
+"""Bones of the trunk that begin at about the same place in all skeletons, unlike the spine."""
 
 
 def are_keypoints(labels: Sequence[str]) -> bool:

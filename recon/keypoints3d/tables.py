@@ -26,7 +26,7 @@ _COORDINATE = re.compile(
 """Such as left_hip_x, "left hip (x)" and left_hip_x [mm]."""
 _AXIS_FIRST = re.compile(r"^(?P<axis>[xyzXYZ])[\s_.:\-](?P<name>.+)$")
 _TIME_OF_DAY = re.compile(r"(\d+):(\d\d?):(\d\d?(?:\.\d+)?)")
-_KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
+_KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point", "bone")
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
 _TIME = ("timestamp", "time", "t", "seconds")
 _TIME_UNIT = re.compile(r"[\s_(\[]+(?:s|secs?|seconds|[mun]s|msec|milliseconds)[)\]]?$")
