@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -113,8 +114,8 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
     means the ankle, as in Human3.6M. Names of bones mean the joints at which the bones begin.
     """
     if bones := limbs_of_bones(labels):
-        words = ["".join(side_and_words_of(label)[1]) for label in labels]
-        return [bones.get(k, _TRUNK_BONES.get(word)) for k, word in enumerate(words)]
+        trunk = [_TRUNK_BONES.get("".join(side_and_words_of(label)[1])) for label in labels]
+        return [bones.get(k, one) for k, one in enumerate(trunk)]
     words = [_plain_spelling(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
     ankles = "left_ankle" in words
@@ -131,32 +132,30 @@ def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
     Bones are known by thighs, lower legs, upper arms and forearms (LeftUpLeg, shin.L, upperarm_r),
     which detectors do not name; the "shoulder" among them is the clavicle.
     """
-    best: dict[str, tuple[int, int, int]] = {}
-    for k, label in enumerate(labels):
-        side, words = side_and_words_of(label)
-        for cut in range(min(len(words), 4) if side else 0):
-            word = "".join(words[cut:])
-            for joint in (one for one, known in LIMBS.items() if word in known):
-                row = (cut, LIMBS[joint].index(word), k)
-                best[f"{side}_{joint}"] = min(row, best.get(f"{side}_{joint}", row))
-    named = {one: labels[k].lower() for one, (_, _, k) in best.items()}
-    for one in (f"{side}_{joint}" for side in SIDES for joint in _OF_BONES):
-        if one not in named or one.partition("_")[2] in named[one]:
+    known = [
+        (cut, meant.index(word), k, f"{side}_{joint}")
+        for k, (side, words) in enumerate(map(side_and_words_of, labels))
+        for cut in range(min(len(words), 4) if side else 0)
+        for joint, meant in LIMBS.items()
+        if (word := "".join(words[cut:])) in meant
+    ]
+    best = {joint: k for *_, k, joint in sorted(known, reverse=True)}
+    for side, joint in product(SIDES, ("hip", "knee", "shoulder", "elbow")):
+        if (
+            joint in labels[best.get(f"{side}_{joint}", 0)].lower()
+            or f"{side}_{joint}" not in best
+        ):
             return {}
     # the foot comes first, as a bone called foot is the ankle if there are no toes
-    return {
-        best[one][2]: f"{one}{JOINT}" if one.endswith("foot") else one
-        for one in sorted(best, key=lambda one: not one.endswith("foot"))
-    }
+    joints = sorted(best, key=lambda one: not one.endswith("foot"))
+    return {best[one]: f"{one}{JOINT}" if one.endswith("foot") else one for one in joints}
 
 
-_OF_BONES = ("hip", "knee", "shoulder", "elbow")
-"""Joints that detectors call so, and skeletons by the bone below."""
+# bones of the trunk that begin at about the same place in all skeletons, unlike the spine
 _TRUNK_BONES = {
     "hips": f"pelvis{JOINT}", "pelvis": f"pelvis{JOINT}", "neck": f"neck{JOINT}",
     "head": f"head{JOINT}",
 }  # fmt: skip
-"""Bones of the trunk that begin at about the same place in all skeletons, unlike the spine."""
 
 
 def are_keypoints(labels: Sequence[str]) -> bool:
