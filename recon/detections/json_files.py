@@ -121,11 +121,13 @@ def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None)
         image = str(person["image_id"])
         points = flat_points(person.get("keypoints") or [], f"{name}, image {image}")
         rows.append((by_image[image], points, as_identity(person.get("idx"), name)))
+    said: tuple[str, ...] = ()
     if max(np.nanmax(points[:, 2], initial=0.0) for _, points, _ in rows) > 1:
+        said = (f"AlphaPose's confidences were divided by {_COCO_RANGE:g}, as some exceed 1",)
         scale = (1.0, 1.0, _COCO_RANGE)
         rows = [(number, points / scale, identity) for number, points, identity in rows]
     rows.sort(key=lambda row: row[0])
-    return detections_of_rows(name, sorted(numbers), rows, layout=layout)
+    return detections_of_rows(name, sorted(numbers), rows, layout=layout, decisions=said)
 
 
 def _people_of_openpose(entry: Any, source: str) -> People | None:

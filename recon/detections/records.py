@@ -38,6 +38,7 @@ _BONES = tuple(
 _MIN_BONES = 6
 """Bones a person must show in both readings to have a say."""
 _CONFIDENT = 0.3
+_PERCENT = 12.0  # median from which confidences are per cent: raw scores get to 10
 _SHORTER = 0.75
 """The right reading has bones at most this much of the length of the wrong one's."""
 _AGREEMENT = 0.8
@@ -184,8 +185,8 @@ def detections_of_rows(
 ) -> Detections:
     """Make `Detections` from rows of frame number, keypoints and person number.
 
-    Confidences are clipped to [0, 1]. A keypoint is missing where its confidence is zero, or its
-    place is NaN, infinite, (0, 0), or -1 in both coordinates.
+    Confidences in per cent are divided by 100, others clipped to [0, 1]. A keypoint is missing
+    where its confidence is zero, or its place is NaN, infinite, (0, 0), or -1 in both coordinates.
 
     Raises:
         ValueError: when nobody was found at all, rows have different lengths, or the layout
@@ -212,6 +213,10 @@ def detections_of_rows(
     _check_sizes(name, frame_numbers, rows)
     points = np.stack([row[1] for row in rows])
     SCORE.check(points[..., 2], name, "[person, keypoint]", seen=np.isfinite(points[..., 2]))
+    given = points[..., 2][points[..., 2] > 0]
+    if len(given) > 0 and _PERCENT < float(np.median(given)) <= given.max() <= 100:
+        points = points / (1.0, 1.0, 100.0)
+        decisions += ("confidences up to 100 were taken as per cent",)
     points = with_clipped_confidences(points)
     PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
     hands, count = None, points.shape[1]

@@ -67,12 +67,15 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or "
             "DeepLabCut's header rows scorer, bodyparts, coords"
         )
+    # tables of labelled images may have several columns of their names, without a header
+    blank = next((k for k, part in enumerate(header["bodyparts"]) if part), 0)
+    header = {key: cells[blank:] for key, cells in header.items()}
     parts, width = header["bodyparts"], len(header["coords"])
     individuals = header.get("individuals", ["one"] * len(parts))
     people = list(dict.fromkeys(individuals))
     PEOPLE.check(len(people), name, "individuals")
     KEYPOINTS.check(len(set(parts)), name, "bodyparts")
-    rows = read_rows(path, JSON)[len(header) :]
+    rows = [row[blank:] for row in read_rows(path, JSON)[len(header) :]]
     SAMPLES.check(max(len(rows) * width, 1), name)
     values = numbers_of_columns(rows, range(1, width + 1), name, most=width + 1)
     found = [re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:]) for row in rows]

@@ -1,6 +1,5 @@
 """Finds the bones of a character that stand for body joints, by VRM's table, names or tree."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,24 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from recon.core.bone_names import names_of_joints
+from recon.core.bone_names import LIMBS, names_of_joints, side_and_words_of
 from recon.core.errors import ReconError
 from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
 from recon.core.skeleton import JOINTS
 from recon.export.bone_tree import Tree, bones_by_tree
 from recon.formats.texts import read_toml
 
-_LIMBS = {
-    "shoulder": ("upperarm", "uparm", "arm", "armupper", "humerus", "shldr",
-                 "shldrbend", "shoulder"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "loarm", "armlower", "elbow", "forearmbend"),
-    "wrist": ("hand", "wrist"),
-    "hip": ("upleg", "thigh", "upperleg", "uperleg", "legupper", "thighbend", "femur", "hip"),
-    "knee": ("shin", "calf", "lowerleg", "lowleg", "leglower", "knee", "tibia", "leg"),
-    "ankle": ("ankle", "foot"),
-    "foot": ("toebase", "toes", "toe", "ball", "foot"),
-}  # fmt: skip
-"""Words for the bone of each limb joint, without side and separators, the surest first."""
 _NEEDED = tuple(
     f"{side}_{name}" for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in SIDES
@@ -37,7 +25,6 @@ _HELPER_WORDS = frozenset((
     "nub", "tip", "adj", "tweak", "socket", "prop", "weapon", "dyn", "jiggle", "eff", "effector",
 ))  # fmt: skip
 """Words in names of helper bones, such as IK targets and twist bones, which are no joints."""
-_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _FINGER_WORDS = {
     "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
     "pinky": "pinky", "little": "pinky", "pinkie": "pinky",
@@ -240,25 +227,13 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
     }  # fmt: skip
 
 
-def _side_and_words(name: str) -> tuple[str, list[str]]:
-    """Split a bone's name into a side ("left", "right" or "") and words in lower case."""
-    plain = re.split(r"[:|]", name)[-1][-80:]
-    words, side = [], ""
-    for word in (one.lower() for one in _WORDS.findall(plain)):
-        if word in ("left", "l", "right", "r") and not side:
-            side = "left" if word[0] == "l" else "right"
-        else:
-            words.append(word)
-    return side, words
-
-
 def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     """Find bones by their names; return nodes, keyed by joint.
 
     Raises:
         ReconError: when the names of two bones mean the same joint.
     """
-    side_and_words = {k: _side_and_words(tree.names[k]) for k in sorted(tree.joints)}
+    side_and_words = {k: side_and_words_of(tree.names[k]) for k in sorted(tree.joints)}
     side_and_words = {
         k: one for k, one in side_and_words.items() if not _HELPER_WORDS & set(one[1])
     }
@@ -271,7 +246,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
             key = "".join(words[cut:])
             if key == "head" and not side:
                 candidates.setdefault("head", []).append((cut + trailing, 0, node))
-            for joint, keys in _LIMBS.items() if side else ():
+            for joint, keys in LIMBS.items() if side else ():
                 if key in keys:
                     row = (cut + trailing, keys.index(key), node)
                     candidates.setdefault(f"{side}_{joint}", []).append(row)

@@ -55,7 +55,7 @@ _NUMBER = rb"[-+\dN][\w.+-]*\s*"
 _XYZ = rb'x"?[,;\s]\s*"?y"?[,;\s]\s*"?z\b'
 _ROWS = rb"(?:[ \t]*[-+.\de]+(?:[,; \t]+[-+.\de]+){2}(?:(?:[,; \t]+[-+.\de]+){3})?[ \t]*\r?\n){20}"
 """Matches twenty lines of three numbers, or six with colours or normals."""
-_UNNAMED = rb"(?![^\n]*(?:point|mark|joint|part|name))"
+_UNNAMED = rb"(?![^\n]*(?:point|mark|joint|part|name|bone))"
 _MANY = rb"(?!543,)(?:[2-9]\d\d|\d{4,}), [3-9]\)"
 """Matches a cloud's shape: 200 points or more, but not MediaPipe's 543 of body, face and hands."""
 FILMS = (

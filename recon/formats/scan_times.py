@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
+from recon.formats.json_files import frame_numbers
 from recon.formats.texts import decoded_text, read_bytes
 
 _EVEN_FRAMES = 0.2
@@ -24,6 +26,58 @@ _LONGEST = 60.0
 _EMPTY, _SHORT = 8, 20_000
 """Most frames of a clock per frame with data, and number of frames that is always allowed: empty
 frames take memory, too."""
+
+
+def whole_steps(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
+    """Return the frame of each time, in median steps; None where a step is no whole number.
+
+    A quarter of a frame may be missing to a whole number.
+    """
+    steps = np.diff(times, prepend=times[:1])
+    ratio = steps[1:] / max(float(np.median(steps[1:])) if len(steps) > 1 else 0.0, 1e-300)
+    fits = (np.abs(ratio - np.rint(ratio)) <= 0.25).all() and (np.rint(ratio) >= 1).all()
+    return np.concatenate(([0], np.cumsum(np.rint(ratio)))).astype(np.int64) if fits else None
+
+
+def consecutive_numbers(
+    numbers: Sequence[int] | np.ndarray,
+) -> tuple[Int[np.ndarray, " numbers"], tuple[str, ...]]:
+    """Count rising frame numbers from the first on, in units of their greatest common divisor.
+
+    So 10, 12, 14, 18 become 0, 1, 2, 4, and the sentence that is returned besides says so.
+    """
+    ticks = np.minimum(numbers, 2.0**62).astype(np.int64)
+    step = max(int(np.gcd.reduce(ticks - ticks[:1])), 1)
+    said = (
+        f"frame numbers that step by {step} are taken as consecutive frames of the frame rate: "
+        "give the rate of these, not that of a film between them",
+    )
+    return (ticks - ticks[:1]) // step, said[: step - 1]
+
+
+def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[str]]:
+    """Return the frame of each file by the number or time in its name, and sentences about them.
+
+    Times are ticks, seconds with decimals, or seconds_nanoseconds. Files whose names do not number
+    them, in rising order, are consecutive.
+    """
+    stems = [file.stem for file in files]
+    parts = [m for one in stems if (m := re.fullmatch(r"(\d{9,19})(?:([._])(\d{1,9}))?", one))]
+    times = [float(f"{m[1]}.{(m[3] or '').zfill(9 if m[2] == '_' else 1)}") for m in parts]
+    try:
+        found, said = (
+            (whole_steps(np.array(times)), ())
+            if len(times) == len(files)
+            else consecutive_numbers(frame_numbers(stems, files[0].parent.name))
+        )
+    except FormatError:
+        found, said = None, ()
+    if found is None or (np.diff(found) < 1).any() or not fits_memory(int(found[-1]), len(files)):
+        said = ("the names of the files do not number frames: taken as consecutive ones",)
+        return np.arange(len(files)), list(said)
+    missing = int(found[-1]) + 1 - len(files)
+    told = f"{missing} frames are missing between others, by the files' names: left empty"
+    return found, [*said, *[told][:missing]]
 
 
 @dataclass(frozen=True)

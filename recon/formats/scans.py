@@ -17,7 +17,7 @@ from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
-from recon.formats.scan_times import in_time_order
+from recon.formats.scan_times import frames_of_names, in_time_order
 from recon.formats.texts import decoded_text, parsed_numbers, read_bytes, with_decimal_points
 
 _BYTES = {
@@ -155,7 +155,8 @@ def read_scans(
 
     A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
     time) gives the clock; dropped frames stay empty. Times of named files may be in any order, and
-    unevenly spaced: they are then put on a clock with a frame near each.
+    unevenly spaced: they are then put on a clock with a frame near each. Without that file,
+    numbers or times in the names tell which frames were dropped.
 
     Args:
         folder: with .ply, .pcd or .obj files.
@@ -187,7 +188,7 @@ def read_scans(
             "with --frame-rate"
         )
     else:
-        frames, start = np.arange(len(paths)), 0.0
+        (frames, decisions), start = frames_of_names(paths), 0.0
     FRAME_RATE.check(fps, folder, "frame rate")
     clouds = [read_cloud(path) for path in paths]
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")

@@ -147,6 +147,10 @@ def numbers_of_columns(
                         f"{name}: expected a number in row {line}, got {cell[:40]!r}; "
                         "leave cells empty where nothing was seen"
                     ) from error
+                if np.isinf(values[line, k]) and "inf" not in cell.lower():
+                    raise FormatError(
+                        f"{name}: the number {cell[:40]!r} in row {line} is too large"
+                    )
     return values
 
 

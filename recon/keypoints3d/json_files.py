@@ -11,6 +11,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
 from recon.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
 from recon.formats.json_files import as_floats, as_identity, listed_frames, read_json
+from recon.formats.scan_times import consecutive_numbers
 from recon.keypoints3d.people_files import listed_in_time, points_of_one_person, read_people
 from recon.keypoints3d.records import Person, Points3D, chosen_person, tracks_of_people
 
@@ -76,8 +77,9 @@ def _listed_names(value: dict[str, Any]) -> tuple[str, ...]:
 def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     """Read MediaPipe's world landmarks: metres from the middle of the hips, y down, z away."""
     frames = listed_frames(_frame_entries(value), name)
-    first, last = frames[0][0], frames[-1][0]
-    FRAMES.check(last - first + 1, name)
+    numbers, stepped = consecutive_numbers([number for number, _ in frames])
+    count = int(numbers[-1]) + 1
+    FRAMES.check(count, name)
     found = [
         _people_of_frame(entry, _WORLD, f"{name}, frame {number}") for number, entry in frames
     ]
@@ -94,10 +96,10 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     if not tracks:
         raise FormatError(f"{name}: expected world landmarks, but all frames are empty")
     chosen, said = chosen_person([len(one) for one in tracks], len(frames), person, name)
-    positions = np.full((last - first + 1, LANDMARKS, 3), np.nan)
+    positions = np.full((count, LANDMARKS, 3), np.nan)
     for k, place in tracks[chosen].items():
-        positions[frames[k][0] - first] = found[k][place]
-    decisions = ("layout mediapipe33: MediaPipe's world landmarks", *said)
+        positions[numbers[k]] = found[k][place]
+    decisions = ("layout mediapipe33: MediaPipe's world landmarks", *stepped, *said)
     return Points3D(name, positions, layout="mediapipe33", unit="m", decisions=decisions)
 
 

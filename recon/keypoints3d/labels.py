@@ -3,10 +3,12 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from recon.core.fingers import FINGER_POINTS
+from recon.core.bone_names import LIMBS, side_and_words_of
+from recon.core.fingers import FINGER_POINTS, SIDES
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.detections.tables import plain_part_name
@@ -109,8 +111,11 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
 
     `head`, `neck`, `pelvis` and `foot` mean joints inside the body if other labels show that the
     points are a skeleton's joints, else a detector's keypoints. If no label means an ankle, `foot`
-    means the ankle, as in Human3.6M.
+    means the ankle, as in Human3.6M. Names of bones mean the joints at which the bones begin.
     """
+    if bones := limbs_of_bones(labels):
+        trunk = [_TRUNK_BONES.get("".join(side_and_words_of(label)[1])) for label in labels]
+        return [bones.get(k, one) for k, one in enumerate(trunk)]
     words = [_plain_spelling(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
     ankles = "left_ankle" in words
@@ -119,6 +124,38 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
         return found
     # the head joint of Kinect v2 is the middle of the head
     return ["head_centre" if one == f"head{JOINT}" else one for one in found]
+
+
+def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
+    """Return the keypoints that labels mean as names of bones, by index; {} for other labels.
+
+    Bones are known by thighs, lower legs, upper arms and forearms (LeftUpLeg, shin.L, upperarm_r),
+    which detectors do not name; the "shoulder" among them is the clavicle.
+    """
+    known = [
+        (cut, meant.index(word), k, f"{side}_{joint}")
+        for k, (side, words) in enumerate(map(side_and_words_of, labels))
+        for cut in range(min(len(words), 4) if side else 0)
+        for joint, meant in LIMBS.items()
+        if (word := "".join(words[cut:])) in meant
+    ]
+    best = {joint: k for *_, k, joint in sorted(known, reverse=True)}
+    for side, joint in product(SIDES, ("hip", "knee", "shoulder", "elbow")):
+        if (
+            joint in labels[best.get(f"{side}_{joint}", 0)].lower()
+            or f"{side}_{joint}" not in best
+        ):
+            return {}
+    # the foot comes first, as a bone called foot is the ankle if there are no toes
+    joints = sorted(best, key=lambda one: not one.endswith("foot"))
+    return {best[one]: f"{one}{JOINT}" if one.endswith("foot") else one for one in joints}
+
+
+# bones of the trunk that begin at about the same place in all skeletons, unlike the spine
+_TRUNK_BONES = {
+    "hips": f"pelvis{JOINT}", "pelvis": f"pelvis{JOINT}", "neck": f"neck{JOINT}",
+    "head": f"head{JOINT}",
+}  # fmt: skip
 
 
 def are_keypoints(labels: Sequence[str]) -> bool:

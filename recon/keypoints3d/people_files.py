@@ -4,7 +4,7 @@ Each program has a function that takes the record of one frame and returns the p
 None if another program wrote the record.
 """
 
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,16 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.json_files import Frames, as_floats, as_identity, listed_frames
+from recon.formats.scan_times import consecutive_numbers
 from recon.formats.texts import decoded_text, read_bytes
-from recon.keypoints3d.records import Person, Points3D, chosen_person, tracks_of_people
+from recon.keypoints3d.records import (
+    APART,
+    Person,
+    Points3D,
+    body_distance,
+    chosen_person,
+    tracks_of_people,
+)
 
 _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""
@@ -57,7 +65,8 @@ def points_of_one_person(
     """Return one person's keypoints in all frames, tracked by number or else by position.
 
     Args:
-        frames: numbers of frames, increasing, and everybody in them.
+        frames: numbers of frames, increasing, and everybody in them. Evenly stepping ones become
+            consecutive; a person whose number changes is one person.
         name: of the file.
         person: whom to take, from 0 on in the order of how long they are seen; None the first.
         names: of the points.
@@ -68,6 +77,7 @@ def points_of_one_person(
     """
     PEOPLE.check(max((len(people) for _, people in frames), default=0), name)
     FRAMES.check(frames[-1][0] - frames[0][0] + 1 if frames else 0, name)
+    numbers, stepped = consecutive_numbers([k for k, _ in frames])
     if all(who >= 0 for _, people in frames for who, _ in people):
         often = Counter(who for _, people in frames for who, _ in people).most_common()
         tracks = [
@@ -75,23 +85,55 @@ def points_of_one_person(
              for k, (_, people) in enumerate(frames) if who in dict(people)}
             for who, _ in often
         ]  # fmt: skip
+        tracks, stepped = _joined_tracks(tracks, [people for _, people in frames], stepped)
     else:
         tracks = tracks_of_people([[points for _, points in people] for _, people in frames])
     if not tracks:
         raise FormatError(f"{name}: expected people, but all {len(frames)} frames are empty")
     chosen, said = chosen_person([len(one) for one in tracks], len(frames), person, name)
-    rows = {frames[k][0]: frames[k][1][place] for k, place in tracks[chosen].items()}
-    (_, example), count = next(iter(rows.values())), frames[-1][0] - frames[0][0] + 1
+    rows = {int(numbers[k]): frames[k][1][place] for k, place in tracks[chosen].items()}
+    (_, example), count = next(iter(rows.values())), int(numbers[-1]) + 1
     positions = np.full((count, len(names) or len(example), 3), np.nan)
     for number, (_, points) in rows.items():
         if points.shape != positions.shape[1:]:
             raise FormatError(
-                f"{name}, frame {number}: expected x, y, z of {positions.shape[1]} points"
-                f"{', which the file names' if names else ''}, got numbers of shape {points.shape}"
+                f"{name}, frame {frames[0][0] + number}: expected x, y, z of "
+                f"{positions.shape[1]} points{', which the file names' if names else ''}, "
+                f"got numbers of shape {points.shape}"
             )
-        positions[number - frames[0][0]] = points
-    said = (*known.pop("decisions", ()), *said)
+        positions[number] = points
+    said = (*known.pop("decisions", ()), *stepped, *said)
     return Points3D(name, positions, names, decisions=said, **known)
+
+
+def _joined_tracks(
+    tracks: list[dict[int, int]], frames: Sequence[People], said: tuple[str, ...]
+) -> tuple[list[dict[int, int]], tuple[str, ...]]:
+    """Join tracks where one begins soon after another's end, and about in its pose.
+
+    Args:
+        tracks: for every person, the place in the list of people, keyed by frame.
+        frames: everybody in every frame.
+        said: sentences, to which one about joined tracks is added.
+
+    Returns:
+        The tracks, the longest first, and the sentences.
+    """
+    out: list[dict[int, int]] = []
+    for track in sorted(tracks, key=min):  # frames in a track increase
+        start = next(iter(track))
+        pose = frames[start][track[start]][1]
+        ends = [(k, frames[last][one[last]][1]) for k, one in enumerate(out)
+                if 0 < start - (last := next(reversed(one))) <= _LOST]  # fmt: skip
+        near = [(body_distance(end, pose), k) for k, end in ends if end.shape == pose.shape]
+        away, k = min(near, default=(np.inf, 0))
+        k = k if away < APART else len(out)
+        out[k : k + 1] = [dict(ChainMap(track, *out[k : k + 1]))]
+    told = f"{len(tracks)} numbers of people are those of {len(out)}: some go on where others end"
+    return sorted(out, key=len, reverse=True), (*said, *[told][: len(tracks) - len(out)])
+
+
+_LOST = 15  # frames at most, after which a pose under another number may be the same person's
 
 
 def listed_in_time(value: Any, name: str) -> Frames:

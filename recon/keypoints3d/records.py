@@ -9,6 +9,8 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, FRAMES, JOINTS
 from recon.core.units import snapped_rate
+from recon.formats.scan_times import whole_steps
+from recon.formats.text_tables import with_missing_frames
 
 _LARGEST = 1e7
 """Coordinate of a point ten kilometres away, in millimetres."""
@@ -48,8 +50,9 @@ class Points3D:
     ) -> "Points3D":
         """The points with the frame rate that follows from a column of times, if there is one.
 
-        A single time, or times that do not rise evenly, determine no rate. Times are taken as
-        milli-, micro- or nanoseconds if that makes a usual rate and seconds do not.
+        A single time, or times that do not rise evenly, determine no rate. Frames that were
+        dropped between times of whole frames become unseen. Times are taken as milli-, micro- or
+        nanoseconds if that makes a usual rate and seconds do not.
 
         Args:
             times: one for every frame; None where there are none.
@@ -68,17 +71,25 @@ class Points3D:
                 f"{times[:-1][back][0]:g} s"
             )
         middle, span = float(np.median(steps)), float(times[-1] - times[0])
-        fps, unit = snapped_rate(len(steps) / span) if span > 0 else 0.0, 1.0
+        even = np.abs(steps - middle).max() <= middle / 2
+        clock = None if even or len(times) != len(self.positions) else whole_steps(times)
+        count = len(steps) if clock is None else int(clock[-1])
+        fps, unit = snapped_rate(count / span) if span > 0 else 0.0, 1.0
         if 0 < fps < _USUAL_RATES[0]:
             unit = next((u for u in _TICKS if _USUAL_RATES[0] <= fps * u <= _USUAL_RATES[1]), 0.0)
-            fps = snapped_rate(len(steps) / span * unit)
-        if not FRAME_RATE.holds(fps) or not np.abs(steps - middle).max() <= middle / 2:
+            fps = snapped_rate(count / span * unit)
+        if not FRAME_RATE.holds(fps) or not (even or clock is not None):
             said = f"the times in {place} do not rise evenly by a usual step and were not used"
             return replace(self, decisions=(*self.decisions, said))
         said = f"{fps:g} frames per second: by the times in {place}"
         said += f", {unit:g} a second" if unit > 1 else ""
-        start = float(times[0]) / unit
-        return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
+        points = replace(self, fps=fps, start_time=float(times[0]) / unit)
+        if clock is not None:
+            points = replace(
+                points, positions=with_missing_frames(self.positions, clock, place)[0]
+            )
+            said += f", between which {count - len(steps)} frames are missing: taken as unseen"
+        return replace(points, decisions=(*self.decisions, said))
 
     def checked(self) -> "Points3D":
         """The points with NaN for missing ones; an error if none is seen at all.
@@ -119,7 +130,7 @@ class Points3D:
 
 Person = Float[np.ndarray, "points numbers"]
 """Landmarks of somebody in one frame, in any unit; NaN where not seen."""
-_APART = 0.35
+APART = 0.35
 """Mean distance, in heights of the body, from which on a pose goes on in nobody's."""
 
 
@@ -135,11 +146,11 @@ def tracks_of_people(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]
     people: list[dict[int, int]] = []
     last: list[Person] = []
     for number, poses in enumerate(frames):
-        cost = np.array([[_body_distance(one, other) for other in poses] for one in last])
+        cost = np.array([[body_distance(one, other) for other in poses] for one in last])
         cost = cost.reshape(len(last), len(poses))
         new = set(range(len(poses)))
         for k, place in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[k, place] < _APART:
+            if cost[k, place] < APART:
                 people[k][number], last[k] = int(place), poses[place]
                 new.discard(int(place))
         for place in sorted(new):
@@ -175,7 +186,7 @@ def chosen_person(
     )
 
 
-def _body_distance(a: Person, b: Person) -> float:
+def body_distance(a: Person, b: Person) -> float:
     """Mean distance of the landmarks that both people show, in heights of the larger one."""
     both = np.isfinite(a).all(-1) & np.isfinite(b).all(-1)
     if not both.any():

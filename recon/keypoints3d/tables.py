@@ -12,6 +12,7 @@ from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.core.units import METRES, parse_unit
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
+from recon.formats.scan_times import consecutive_numbers
 from recon.formats.text_tables import (
     numbers_of_columns,
     read_rows,
@@ -26,11 +27,12 @@ _COORDINATE = re.compile(
 """Such as left_hip_x, "left hip (x)" and left_hip_x [mm]."""
 _AXIS_FIRST = re.compile(r"^(?P<axis>[xyzXYZ])[\s_.:\-](?P<name>.+)$")
 _TIME_OF_DAY = re.compile(r"(\d+):(\d\d?):(\d\d?(?:\.\d+)?)")
-_KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
+_KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point", "bone")
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
 _TIME = ("timestamp", "time", "t", "seconds")
 _TIME_UNIT = re.compile(r"[\s_(\[]+(?:s|secs?|seconds|[mun]s|msec|milliseconds)[)\]]?$")
 """Unit at the end of a column's name, as in time_ms; the size of the time steps tells it, too."""
+_PERSON = re.compile(r"(?i)(?:person|track|body|subject|player|people)[\s_]?(?:id|nr|no)?")
 _MIN_KEYPOINTS = 2
 """Keypoints with all three coordinates from which on a table is one of keypoints in space."""
 _NAMES = ("names", "joint_names", "keypoint_names", "labels", "markers")
@@ -89,7 +91,11 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     refuse_repeated_columns([cell for cell in header if _COORDINATE.match(cell)], name)
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
+    _refuse_several_people(rows, header, name)
     needed = [k for axes in columns.values() for k in axes]
+    cut = len(rows) > 1 and len(rows[-1]) < min(map(len, rows[:-1]))
+    said = (f"the last row has {len(rows[-1])} of {len(header)} cells: left out as cut short",)
+    rows = rows[: len(rows) - cut]
     values = numbers_of_columns(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
     found, times = (_numbers_of_column(rows, header, words, name) for words in (_FRAME, _TIME))
     frames = np.zeros(0) if found is None or not np.isfinite(found).all() else found
@@ -99,11 +105,12 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
             f"{name}: expected frame numbers that increase, got {frames[1:][steps <= 0][0]:g} "
             f"after {frames[:-1][steps <= 0][0]:g}"
         )
+    index, stepped = consecutive_numbers(np.floor(frames))
+    said = (*said[:cut], *stepped)
     if (steps == steps[:1]).all():
-        return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
-    index = np.floor(frames - frames[0])
-    positions, said = with_missing_frames(values, index, name)
-    return Points3D(name, positions, tuple(columns), decisions=said).with_rate_of_times(
+        return Points3D(name, values, tuple(columns), decisions=said).with_rate_of_times(times)
+    positions, missing = with_missing_frames(values, index, name)
+    return Points3D(name, positions, tuple(columns), decisions=said + missing).with_rate_of_times(
         None if times is None else np.interp(np.arange(len(positions)), index, times)
     )
 
@@ -120,11 +127,12 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     values = numbers_of_columns(rows, axes, name, least=least, most=max(map(len, [header, *rows])))
     labels = [row[point] for row in rows]
     place = {one: k for k, one in enumerate(dict.fromkeys(labels))}
-    count = int(frames.max()) - int(frames.min()) + 1
+    known, at = np.unique(np.floor(frames), return_inverse=True)
+    ticks, stepped = consecutive_numbers(known)
+    count, index = int(ticks[-1]) + 1, ticks[at.reshape(-1)]
     FRAMES.check(count, name, "column frame")
     JOINTS.check(len(place), name, "column keypoint")
     SAMPLES.check(count * len(place), name)
-    index = frames.astype(np.int64) - int(frames.min())
     positions = np.full((count, len(place), 3), np.nan)
     for k, (frame, label) in enumerate(zip(index.tolist(), labels, strict=True)):
         spot = positions[frame, place[label]]
@@ -135,10 +143,22 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
             )
         spot[:] = values[k]
     times = _numbers_of_column(rows, header, _TIME, name)
-    known, first = np.unique(index, return_index=True)
-    return Points3D(name, positions, tuple(place)).with_rate_of_times(
-        None if times is None else np.interp(np.arange(count), known, times[first])
+    first = np.unique(index, return_index=True)[1]
+    return Points3D(name, positions, tuple(place), decisions=stepped).with_rate_of_times(
+        None if times is None else np.interp(np.arange(count), ticks, times[first])
     )
+
+
+def _refuse_several_people(rows: list[list[str]], header: list[str], name: str) -> None:
+    """Refuse a wide table whose rows are of several people, by a column that names them."""
+    for k, cell in enumerate(header):
+        people = list(dict.fromkeys(row[k] for row in rows if row[k : k + 1] > [""]))
+        if _PERSON.fullmatch(cell) and len(people) > 1:
+            raise FormatError(
+                f"{name}: expected one person, but the column {cell} has {', '.join(people[:5])}: "
+                "write the rows of one of them to a file of its own, or leave the column out if "
+                "these are one person"
+            )
 
 
 def _numbers_of_column(

@@ -16,7 +16,7 @@ from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
-from recon.keypoints3d.labels import meant_keypoints, split_off_hands
+from recon.keypoints3d.labels import limbs_of_bones, meant_keypoints, split_off_hands
 from recon.keypoints3d.reader import with_known_rate
 from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
@@ -130,6 +130,8 @@ def _with_known_names(raw: Points3D, body: BodyModel, layout: str | None) -> Poi
             "expected names such as left_hip, LKnee, RAnkle, nose"
         )
     said = [*raw.decisions, f"{len(names)} keypoints by name"]
+    if limbs_of_bones(raw.names):
+        said.append("the names are those of bones: each is the joint at which its bone begins")
     if unknown:
         said.append(f"points that are no keypoints of the body, left out: {_first_names(unknown)}")
     return replace(raw, names=names, positions=raw.positions[:, kept], decisions=tuple(said))

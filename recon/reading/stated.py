@@ -14,12 +14,15 @@ from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
 from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, undistorted_pixels
 from recon.formats.producers import is_film
+from recon.formats.scan_times import consecutive_numbers, fits_memory
 
 if TYPE_CHECKING:
     from recon.films.turning import CameraMotion
 
 _DRIFT = 1.0
 """Frames by which views of nearly one frame rate may drift apart."""
+_SPARSE = 100
+"""Frame numbers may span this many times the number of frames, else they are no frame numbers."""
 
 
 def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
@@ -76,6 +79,60 @@ def camera_of_images(camera: CameraArrays, found: Detections) -> tuple[CameraArr
     matrix[:2, 2] += (scale - 1) / 2  # pixels are counted from the first one's centre
     note = "filled up or cut at the right and below" if (scale == 1).all() else "scaled"
     return replace(camera, camera_matrix=matrix, image_size=size), f"{said}: {note}"
+
+
+def frame_range(found: Sequence[Detections]) -> tuple[int, int]:
+    """First frame number and number of frames of all views together.
+
+    Raises:
+        ValueError: when the views count frames differently, or numbers are no frame numbers.
+    """
+    spans = [(int(one.frame_numbers[0]), int(one.frame_numbers[-1])) for one in found]
+    first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    most = max(len(one.frame_numbers) for one in found)
+    described = "; ".join(
+        f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
+    )
+    span = last - first + 1
+    if span > _SPARSE * most or not fits_memory(span, most):
+        raise ObservationError(
+            f"expected frame numbers that count frames, got {described}, of which {most} have a "
+            "file; cut the recording at its gap, or number its frames one by one"
+        )
+    common = min(b for _, b in spans) - max(a for a, _ in spans) + 1
+    shortest = min(b - a + 1 for a, b in spans)
+    shifted = len(set(spans)) > 1 and len({b - a for a, b in spans}) == 1
+    if common < shortest / 2 or shifted:
+        raise ObservationError(
+            f"the views count their frames differently: {described}; number the frames of all "
+            "views from the same moment"
+        )
+    return first, last - first + 1
+
+
+def with_consecutive_frames(
+    found: list[Detections], cameras: Sequence[CameraArrays], how: ReadOptions
+) -> list[Detections]:
+    """Return views whose frame numbers step evenly by more than 1 with consecutive numbers.
+
+    Numbers stay where they are those of a film, of masks, or of the poses of a moving camera.
+    """
+    poses = [one.T_camera_world for one in cameras if one.T_camera_world is not None]
+    if (
+        how.masks or how.camera_track or any(len(one) > 1 for one in poses)
+        or any(one.frame_rate or one.image_size for one in found)
+    ):  # fmt: skip
+        return found
+    numbers = np.unique(np.concatenate([one.frame_numbers for one in found]))
+    index, said = consecutive_numbers(numbers)
+    return [
+        replace(
+            one, decisions=(*one.decisions, *said),
+            frame_numbers=index[np.searchsorted(numbers, one.frame_numbers)],
+            frame=index[np.searchsorted(numbers, one.frame)],
+        )
+        for one in found
+    ] if said else found  # fmt: skip
 
 
 _SHOTS_LISTED = 8

@@ -20,7 +20,6 @@ from recon.formats.cameras import (
     guessed_image_size,
 )
 from recon.formats.observations import KeypointsFile
-from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
@@ -28,8 +27,10 @@ from recon.reading.stated import (
     background_camera,
     camera_of_images,
     cut_to_longest_shot,
+    frame_range,
     rate_of_views,
     read_sized_detections,
+    with_consecutive_frames,
 )
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
@@ -37,8 +38,6 @@ _OUTSIDE = 0.5
 """Share of the keypoints outside the image from which something is wrong."""
 _BORDER = 0.5
 """Pixels from the centres of the outermost ones at which keypoints count as clamped."""
-_SPARSE = 100
-"""Frame numbers may span this many times the number of frames, else they are no frame numbers."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,8 @@ def read_views(
     ]
     sized = [camera_of_images(*one) for one in zip(cameras, found, strict=True)]
     cameras = [camera for camera, _ in sized]
-    first, frames = _frame_range(found)
+    found = with_consecutive_frames(found, cameras, how)
+    first, frames = frame_range(found)
     shot = None
     if len(found) == 1:
         found[0], shot, cut = cut_to_longest_shot(found[0], fps, between)
@@ -316,35 +316,6 @@ def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) 
             f"frame 0 on, got {len(pose)}"
         )
     return replace(camera, T_camera_world=pose[first : first + frames])
-
-
-def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
-    """First frame number and number of frames of all views together.
-
-    Raises:
-        ValueError: when the views count frames differently, or numbers are no frame numbers.
-    """
-    spans = [(int(one.frame_numbers[0]), int(one.frame_numbers[-1])) for one in found]
-    first, last = min(a for a, _ in spans), max(b for _, b in spans)
-    most = max(len(one.frame_numbers) for one in found)
-    described = "; ".join(
-        f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
-    )
-    span = last - first + 1
-    if span > _SPARSE * most or not fits_memory(span, most):
-        raise ObservationError(
-            f"expected frame numbers that count frames, got {described}, of which {most} have a "
-            "file; cut the recording at its gap, or number its frames one by one"
-        )
-    common = min(b for _, b in spans) - max(a for a, _ in spans) + 1
-    shortest = min(b - a + 1 for a, b in spans)
-    shifted = len(set(spans)) > 1 and len({b - a for a, b in spans}) == 1
-    if common < shortest / 2 or shifted:
-        raise ObservationError(
-            f"the views count their frames differently: {described}; number the frames of all "
-            "views from the same moment"
-        )
-    return first, last - first + 1
 
 
 def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:

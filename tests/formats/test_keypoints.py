@@ -162,6 +162,30 @@ def test_easymocap_annots(tmp_path):
     assert (found.layout, found.identity.tolist()) == ("openpose25", [3, 3])
 
 
+@pytest.mark.parametrize(("scale", "confidence"), [(1.0, 0.8), (100.0, 0.8), (10.0, 1.0)])
+def test_confidences_in_per_cent_are_divided(scale, confidence, tmp_path):
+    """All of them became 1, also those of keypoints that were hardly seen."""
+    record = {"people": [{"pose_keypoints_2d": [9.0, 8.0, 0.8 * scale] * 17}]}
+    (tmp_path / "0.json").write_text(json.dumps(record))
+    found = read_keypoints(tmp_path)
+    assert np.allclose(found.confidence, confidence)
+    assert any("per cent" in one for one in found.decisions) == (scale == 100)
+
+
+def test_labelled_images_of_three_index_columns_are_read(tmp_path):
+    """DeepLabCut writes folder, video and image since 2.2, which gave too many cells."""
+    names = keypoint_names("coco17")
+    lines = [
+        "scorer,," + ",me" * 34, "bodyparts,,," + ",".join(n for n in names for _ in "xy"),
+        "coords,," + ",x,y" * 17,
+        *(f"labeled-data,v,img{k:03d}.png" + ",7,8" * 17 for k in (3, 4)),
+    ]  # fmt: skip
+    (tmp_path / "CollectedData_me.csv").write_text("\n".join(lines))
+    found = read_keypoints(tmp_path / "CollectedData_me.csv")
+    assert found.frame_numbers.tolist() == [3, 4]
+    assert (found.pixels == (7, 8)).all()
+
+
 def test_frame_numbers_are_what_differs_between_names():
     assert frame_numbers(["cam1_003_halpe26", "cam1_010_halpe26"], "x") == [3, 10]
     assert frame_numbers(["cam01.0099"], "x") == [99]

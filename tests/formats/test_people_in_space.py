@@ -88,3 +88,37 @@ def test_bodies_of_azure_kinect_are_chosen_by_number(tmp_path):
     path.write_text(json.dumps({"frames": frames}))
     assert np.allclose(read_points_3d(path).positions, 1000 * seen[0, :, :32])
     assert np.allclose(read_points_3d(path, person=1).positions[:9], 1000 * seen[1, :9, :32])
+
+
+def test_a_person_whose_number_changes_is_one_person(tmp_path):
+    """The second half counted as another person and was left out."""
+    seen = people()
+    frames = [
+        {"bodies": [
+            {"body_id": 3 if t < 6 else 8, "joint_positions": seen[0, t, :32].tolist()},
+            {"body_id": 5, "joint_positions": seen[1, t, :32].tolist()},
+        ][: 1 if t > 9 else 2]}
+        for t in range(FRAMES) if t != 7
+    ]  # fmt: skip
+    path = tmp_path / "azure.json"
+    path.write_text(json.dumps({"frames": frames}))
+    found = read_points_3d(path)
+    assert np.allclose(found.positions, np.delete(seen[0, :, :32], 7, axis=0))
+    assert any("3 numbers of people are those of 2" in one for one in found.decisions)
+    assert np.allclose(read_points_3d(path, person=1).positions[:6], seen[1, :6, :32])
+
+
+def test_frame_numbers_that_step_by_two_are_consecutive(tmp_path):
+    """Every other frame was unseen, and time ran half as fast, without a word."""
+    seen = people()
+    entries = [
+        {"frame": 2 * t, "pose_world_landmarks": [landmarks(seen[0, t])]}
+        for t in range(FRAMES) if t != 4
+    ]  # fmt: skip
+    path = tmp_path / "stepped.json"
+    path.write_text(json.dumps(entries))
+    found = read_points_3d(path)
+    shown = np.isfinite(found.positions).all((1, 2))
+    assert np.flatnonzero(~shown).tolist() == [4]
+    assert len(shown) == FRAMES
+    assert any("step by 2" in one for one in found.decisions)

@@ -53,16 +53,37 @@ def test_pcd_of_all_three_kinds(tmp_path):
 
 
 def test_folders_count_naturally_and_units_are_found(tmp_path):
-    for frame in (0, 1, 2, 10):
+    for frame in (8, 9, 10, 11):
         write_ply(tmp_path / f"scan_{frame}.ply", 1000 * person(frame))
     file = read_scans(tmp_path, fps=30.0, points=100, outliers=None)
     assert np.bincount(file.frame).tolist() == [100] * 4
     middles = [file.points[file.frame == k][:, 0].mean() for k in range(4)]
-    assert np.allclose(middles, [0.0, 0.1, 0.2, 1.0], atol=0.06)
+    assert np.allclose(middles, [0.8, 0.9, 1.0, 1.1], atol=0.06)
     again = read_scans(tmp_path, fps=30.0, points=100, outliers=None)
     assert np.array_equal(file.points, again.points)
     turned = read_scans(tmp_path, fps=30.0, up="y", unit="mm")
     assert np.ptp(turned.points[:, 1]) == pytest.approx(1.8, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("names", "frames", "said"),
+    [
+        (("0004", "0005", "0008", "0009"), [0, 1, 4, 5], ["2 frames are missing"]),
+        (("10", "12", "14", "18"), [0, 1, 2, 4], ["step by 2", "1 frames are missing"]),
+        (("1617012345.8", "1617012345.9", "1617012346.2", "1617012346.3"), [0, 1, 4, 5],
+         ["2 frames are missing"]),
+        (("1617012345_900000000", "1617012346_8", "1617012346_100000000"), [0, 1, 2], []),
+        (("a0b1", "a0c1", "b0a1"), [0, 1, 2], ["do not number frames"]),
+    ],
+)  # fmt: skip
+def test_numbers_and_times_in_names_tell_dropped_clouds(names, frames, said, tmp_path):
+    """Files were consecutive frames whatever their names, so that time was squeezed at gaps."""
+    for name in names:
+        write_ply(tmp_path / f"{name}.ply", person(0))
+    file = read_scans(tmp_path, fps=10.0, points=100)
+    assert np.unique(file.frame).tolist() == frames
+    told = [one for one in file.decisions if "frames" in one]
+    assert [part in one for part, one in zip(said, told, strict=True)] == [True] * len(said)
 
 
 def test_times_leave_dropped_frames_empty(tmp_path):

@@ -55,7 +55,18 @@ def test_frames_that_are_missing_are_unseen(tmp_path):
     assert found.decisions == (
         "2 frame numbers between others are missing: these frames are taken as unseen",
     )
-    assert len(read_table(table(tmp_path / "b.csv", "frame", [0, 2, 4])).positions) == 3
+    stepped = read_table(table(tmp_path / "b.csv", "frame", [10, 12, 16]))
+    assert np.isfinite(stepped.positions).all((1, 2)).tolist() == [True, True, False, True]
+    assert "step by 2 are taken as consecutive frames" in stepped.decisions[0]
+
+
+def test_frames_dropped_between_times_are_unseen(tmp_path):
+    """The times determined no rate, and with a given one the gap was closed."""
+    found = read_table(table(tmp_path / "a.csv", "time", [5.0, 5.033, 5.067, 5.2, 5.233]))
+    seen = np.isfinite(found.positions).all((1, 2))
+    assert seen.tolist() == [True, True, True, False, False, False, True, True]
+    assert (round(found.fps, 1), found.start_time) == (30.0, 5.0)
+    assert "between which 3 frames are missing" in found.decisions[-1]
 
 
 def test_times_that_are_no_clock_are_refused_or_told(tmp_path):
@@ -91,3 +102,25 @@ def test_rows_that_a_trc_leaves_out_are_unseen(tmp_path):
     assert found.fps == 100
     assert found.visible[:, 0].tolist() == [True] * 3 + [False] + [True] * 4
     assert any("1 frame numbers between others are missing" in said for said in found.decisions)
+
+
+def test_rows_of_several_people_are_refused(tmp_path):
+    """The message spoke of frame numbers, or people alternated from row to row."""
+    path = table(tmp_path / "a.csv", "Person_ID", [0, 1, 0, 1])
+    with pytest.raises(
+        recon.FormatError, match="column Person_ID has 0, 1: write the rows of one"
+    ):
+        read_table(path)
+    assert len(read_table(table(tmp_path / "b.csv", "person", [4, 4, 4])).positions) == 3
+
+
+def test_rows_and_numbers_that_are_no_data_are_told(tmp_path):
+    """A row that was half written had wrong numbers, and a number too large was unseen."""
+    path = table(tmp_path / "a.csv", "frame", range(4))
+    path.write_text(path.read_text()[:-20])
+    found = read_table(path)
+    assert len(found.positions) == 3
+    assert "the last row has 12 of 16 cells" in found.decisions[0]
+    path.write_text(path.read_text().replace("0.2", "1e400"))
+    with pytest.raises(recon.FormatError, match="number '1e400' in row 0 is too large"):
+        read_table(path)

@@ -21,6 +21,28 @@ def test_keypoints_are_known_by_name(label: str) -> None:
     assert plain_part_name("RHip") == "right_hip"
 
 
+@pytest.mark.parametrize(
+    ("hips", "clavicle", "bones"),
+    [
+        ("mixamorig:Hips", "LeftShoulder", ["UpLeg", "Leg", "Foot", "ToeBase", "Arm", "ForeArm",
+                                            "Hand"]),
+        ("Pelvis", "Left Shoulder", [" Upper Leg", " Lower Leg", " Foot", " Toe", " Upper Arm",
+                                     " Forearm", " Hand"]),
+        ("hips", "shoulder.L", ["thigh", "shin", "foot", "toe", "upper_arm", "forearm", "hand"]),
+    ],
+)  # fmt: skip
+def test_bones_mean_the_joints_at_which_they_begin(
+    hips: str, clavicle: str, bones: list[str]
+) -> None:
+    """Half of the bones were unknown, and clavicles called shoulders were shoulders."""
+    sides = [("Left", ""), ("Right", "")] if bones[0][0] in "U " else [("", ".L"), ("", ".R")]
+    labels = [hips, "Spine1", clavicle, *(f"{a}{one}{b}" for a, b in sides for one in bones)]
+    limbs = ("hip", "knee", "ankle", "foot_joint", "shoulder", "elbow", "wrist")
+    expected = [f"{side}_{joint}" for side in ("left", "right") for joint in limbs]
+    assert meant_keypoints(labels) == ["pelvis_joint", None, None, *expected]
+    assert meant_keypoints(["LShoulder", "LElbow", "LArm"])[0] == "left_shoulder"
+
+
 def test_marker_sets_are_no_keypoints(single: BodyModel) -> None:
     halpe = ["Nose", "Neck", "Hip", *(f"{s}{j}" for s in "LR" for j in (
         "Hip", "Knee", "Ankle", "Shoulder", "Elbow", "Wrist", "Heel", "BigToe"))]  # fmt: skip

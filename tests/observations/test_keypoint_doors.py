@@ -120,7 +120,7 @@ def test_times_that_tell_no_rate_are_named(tmp_path):
     """Numbers of frames were seconds; of a pause it was said that there are no times."""
     names, x = keypoint_names("coco17"), points("coco17")
     header = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
-    for times in (range(FRAMES), [0.1 * t + (t > 5) for t in range(FRAMES)]):
+    for times in (range(FRAMES), [0.1 * t + 0.55 * (t > 5) for t in range(FRAMES)]):
         with (tmp_path / "a.csv").open("w", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(header)

@@ -265,3 +265,16 @@ def test_real_detections_of_three_views(data, tmp_path, name):
     assert views.names == ("cam_01", "cam_02", "cam_03")
     assert [file.layout for file in views.files] == ["openpose25b"] * 3
     assert min((file.confidence.max(1) > 0).sum() for file in views.files) >= 98
+
+
+def test_frames_that_step_by_two_are_consecutive_unless_cameras_number_them(tmp_path):
+    """Every second frame was unseen and time half as fast, without a word."""
+    folder = write_scene(tmp_path / "trial", walker)
+    for path in folder.glob("*_json/*.json"):
+        number = int(path.name.split("_")[-2])
+        path.rename(path.with_name(f"{path.parent.name}_2{2 * number:03d}_keypoints.json_"))
+    for path in folder.glob("*_json/*.json_"):
+        path.rename(path.with_suffix(".json"))
+    views = read_views([folder], ReadOptions(camera=folder / "Calib.toml", frame_rate=30.0))
+    assert views.frames == FRAMES
+    assert any("step by 2" in one for one in views.decisions)
