@@ -50,9 +50,9 @@ def consecutive_numbers(
     step = max(int(np.gcd.reduce(ticks - ticks[:1])), 1)
     said = (
         f"frame numbers that step by {step} are taken as consecutive frames of the frame rate: "
-        "give the rate of these, not that of a film between them",
+        "give the rate of these, not that of a film between them"
     )
-    return (ticks - ticks[:1]) // step, said[: step - 1]
+    return (ticks - ticks[:1]) // step, (said,) if step > 1 else ()
 
 
 def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[str]]:
@@ -77,7 +77,7 @@ def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[
         return np.arange(len(files)), list(said)
     missing = int(found[-1]) + 1 - len(files)
     told = f"{missing} frames are missing between others, by the files' names: left empty"
-    return found, [*said, *[told][:missing]]
+    return found, [*said, told] if missing else [*said]
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,8 @@ def _joined_tracks(
         k = k if away < APART else len(out)
         out[k : k + 1] = [dict(ChainMap(track, *out[k : k + 1]))]
     told = f"{len(tracks)} numbers of people are those of {len(out)}: some go on where others end"
-    return sorted(out, key=len, reverse=True), (*said, *[told][: len(tracks) - len(out)])
+    joined = len(out) < len(tracks)
+    return sorted(out, key=len, reverse=True), (*said, told) if joined else said
 
 
 _LOST = 15  # frames at most, after which a pose under another number may be the same person's

@@ -106,7 +106,7 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
             f"after {frames[:-1][steps <= 0][0]:g}"
         )
     index, stepped = consecutive_numbers(np.floor(frames))
-    said = (*said[:cut], *stepped)
+    said = (*said, *stepped) if cut else stepped
     if (steps == steps[:1]).all():
         return Points3D(name, values, tuple(columns), decisions=said).with_rate_of_times(times)
     positions, missing = with_missing_frames(values, index, name)

@@ -14,7 +14,7 @@ from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
 from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, undistorted_pixels
 from recon.formats.producers import is_film
-from recon.formats.scan_times import consecutive_numbers, fits_memory
+from recon.formats.scan_times import fits_memory
 
 if TYPE_CHECKING:
     from recon.films.turning import CameraMotion
@@ -110,29 +110,15 @@ def frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     return first, last - first + 1
 
 
-def with_consecutive_frames(
-    found: list[Detections], cameras: Sequence[CameraArrays], how: ReadOptions
-) -> list[Detections]:
-    """Return views whose frame numbers step evenly by more than 1 with consecutive numbers.
-
-    Numbers stay where they are those of a film, of masks, or of the poses of a moving camera.
-    """
-    poses = [one.T_camera_world for one in cameras if one.T_camera_world is not None]
-    if (
-        how.masks or how.camera_track or any(len(one) > 1 for one in poses)
-        or any(one.frame_rate or one.image_size for one in found)
-    ):  # fmt: skip
-        return found
+def note_of_steps(found: Sequence[Detections]) -> tuple[str, ...]:
+    """Say that frames between evenly stepping frame numbers are unseen, where there are some."""
     numbers = np.unique(np.concatenate([one.frame_numbers for one in found]))
-    index, said = consecutive_numbers(numbers)
-    return [
-        replace(
-            one, decisions=(*one.decisions, *said),
-            frame_numbers=index[np.searchsorted(numbers, one.frame_numbers)],
-            frame=index[np.searchsorted(numbers, one.frame)],
-        )
-        for one in found
-    ] if said else found  # fmt: skip
+    step = int(np.gcd.reduce(numbers - numbers[0]))
+    said = (
+        f"frame numbers step by {step}: frames between them are unseen, and the frame rate is "
+        "that of all frames. If it is that of the files, number these one by one"
+    )
+    return (said,) if step > 1 else ()
 
 
 _SHOTS_LISTED = 8

@@ -28,9 +28,9 @@ from recon.reading.stated import (
     camera_of_images,
     cut_to_longest_shot,
     frame_range,
+    note_of_steps,
     rate_of_views,
     read_sized_detections,
-    with_consecutive_frames,
 )
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
@@ -106,8 +106,8 @@ def read_views(
     ]
     sized = [camera_of_images(*one) for one in zip(cameras, found, strict=True)]
     cameras = [camera for camera, _ in sized]
-    found = with_consecutive_frames(found, cameras, how)
     first, frames = frame_range(found)
+    notes = [*notes, *note_of_steps(found)]
     shot = None
     if len(found) == 1:
         found[0], shot, cut = cut_to_longest_shot(found[0], fps, between)
