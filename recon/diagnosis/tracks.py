@@ -11,6 +11,7 @@ from recon.core.residuals import NORMAL_MAD
 from recon.diagnosis.findings import Code, Finding, spans, stretches
 from recon.diagnosis.named_points import NamedPoints, distances, joint_pairs, same_bone_pairs
 from recon.diagnosis.quick_fit import without_implausible
+from recon.mocap.recording import MarkerRecording
 
 _MIN_LENGTHS = 8
 """Number of frames in which both ends of a bone must be seen."""
@@ -50,7 +51,7 @@ _MIN_JUMP_M_S = 4.0
 """Speed (m/s) of a jump, at least: such a change within a frame is more than 10 g."""
 
 
-def temporal_noise(points: NamedPoints) -> float:
+def temporal_noise(points: NamedPoints | MarkerRecording) -> float:
     """Return the standard deviation (m) of a coordinate, from third differences in time.
 
     It is zero where it cannot be estimated.
@@ -147,7 +148,7 @@ def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
     )
 
 
-def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
+def identity_changes(points: NamedPoints | MarkerRecording) -> tuple[Finding, ...]:
     """Warn where the whole body jumps, as when a tracker switches to another person.
 
     A jump is a step of the whole body that differs from those before and after; the step is the
@@ -174,8 +175,8 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     code: Code = "identity change"
     said = (
         f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
-        "probably another person was tracked from there on; cut the recording there (--between) "
-        "or correct the identities"
+        "probably another person was tracked from there on; cut the recording there (`recon fit "
+        "--between`) or correct the identities"
     )
     if jumps.sum() >= _MIN_DISORDER_JUMPS:
         code = "frame order"

@@ -13,6 +13,8 @@ from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
+from recon.diagnosis.movement import height_findings
+from recon.diagnosis.tracks import identity_changes
 from recon.ingest.conversion import Conversion, on_ground
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
@@ -49,6 +51,7 @@ that may sit anywhere on a limb: 0.02 to 0.041 where guesses were right."""
 _MOST_RESIDUAL = 0.012
 """Largest mean residual (m) of guessed markers that is accepted: at most 0.008 where right."""
 _TRIAL_FRAMES = 40
+_CAUSES = "the unit (--unit), the axes (--up, --hand) and the labels"
 _BETTER = 0.6
 """Largest residual with other labels, over that with the present ones, to take them instead."""
 
@@ -181,7 +184,8 @@ def _conversion_of_fit(
     warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
-    warnings += marker_findings(fit, chosen, markers)
+    warnings += (*marker_findings(fit, chosen, markers), *identity_changes(chosen))
+    size = height_findings(float(body.height(fit.motion.shape)), _CAUSES, may_be_child=True)
     converted = on_ground(
         fit.motion,
         marker_residuals(fit, chosen),
@@ -194,9 +198,9 @@ def _conversion_of_fit(
     )
     return dataclasses.replace(
         converted,
-        diagnosis=(*converted.diagnosis, *_residual_findings(fit, chosen)),
+        diagnosis=(*converted.diagnosis, *size.diagnosis, *_residual_findings(fit, chosen)),
         repairs=(*converted.repairs, *found.repairs, *repaired),
-        warnings=(*converted.warnings, *warnings),
+        warnings=(*converted.warnings, *size.warnings, *warnings),
     )
 
 
