@@ -318,12 +318,9 @@ _MIN_CHILD_HEIGHT_M = 0.95
 
 
 def height_findings(tall: float, causes: str, *, may_be_child: bool) -> Findings:
-    """Return a warning of a height that no adult has; for a child's only a note.
+    """Return a warning of a height (m) that no adult has, which asks to check some `causes`.
 
-    Args:
-        tall: height of the fitted body, metres.
-        causes: what to check, for the message.
-        may_be_child: whether a child's height may be right, as that of points in metres.
+    Where there `may_be_child`, as in points in metres, a child's height is only noted.
     """
     if may_be_child and _MIN_CHILD_HEIGHT_M < tall <= SHORTEST_BODY:
         text = (

@@ -160,7 +160,7 @@ def rows_of_whole_points(
     short: its last point, maybe cut within a number, is left out, and `notes` gets a sentence.
 
     Args:
-        rows: cells of every row.
+        rows: cells of every row, none of them empty.
         first: number of cells before the coordinates.
         width: number of cells by the header.
         name: of the file, for messages.
@@ -170,11 +170,10 @@ def rows_of_whole_points(
         FormatError: when a row ends within a point, so that a cell before is missing.
     """
     shortest = width - 1
-    for line, (cells, following) in enumerate(pairwise(chain(rows, (None,))), 1):
-        assert cells is not None  # only the last, which is never first of a pair
+    for line, (cells, following) in enumerate(pairwise(chain(rows, ([],))), 1):
         end = next((k for k in range(len(cells), first, -1) if cells[k - 1].strip()), first)
         over = (end - first) % 3
-        if following is None and len(cells) < shortest and end > first and line > 1:
+        if not following and len(cells) < shortest and end > first and line > 1:
             end -= over or 3
             notes.append(
                 f"the last row is cut short after {(end - first) // 3} of {(width - first) // 3} "

@@ -51,7 +51,6 @@ that may sit anywhere on a limb: 0.02 to 0.041 where guesses were right."""
 _MOST_RESIDUAL = 0.012
 """Largest mean residual (m) of guessed markers that is accepted: at most 0.008 where right."""
 _TRIAL_FRAMES = 40
-_CAUSES = "the unit (--unit), the axes (--up, --hand) and the labels"
 _BETTER = 0.6
 """Largest residual with other labels, over that with the present ones, to take them instead."""
 
@@ -184,8 +183,15 @@ def _conversion_of_fit(
     warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
-    warnings += (*marker_findings(fit, chosen, markers), *identity_changes(chosen))
-    size = height_findings(float(body.height(fit.motion.shape)), _CAUSES, may_be_child=True)
+    warnings += (
+        *marker_findings(fit, chosen, markers),
+        *identity_changes(chosen.positions, chosen.visible, chosen.fps),
+    )
+    size = height_findings(
+        float(body.height(fit.motion.shape)),
+        "the unit (--unit), the axes (--up, --hand) and the labels",
+        may_be_child=True,
+    )
     converted = on_ground(
         fit.motion,
         marker_residuals(fit, chosen),

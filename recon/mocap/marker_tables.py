@@ -96,10 +96,9 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     data = [row for row in rows if _is_number(row[0])]
     timed = "Frame" in head  # columns of frame and time come before the markers'
     first = 2 if timed else 0
-    width = first + 3 * len(labels)
-    cells = [[cell.strip() for cell in row[:width]] for row in data]
-    notes: list[str] = []
-    cells = list(rows_of_whole_points(cells, first, width, name, notes))
+    width, notes = first + 3 * len(labels), list[str]()
+    stripped = ([cell.strip() for cell in row[:width]] for row in data)
+    cells = list(rows_of_whole_points(stripped, first, width, name, notes))
     values = numbers_of_columns(cells, range(width), name, most=width)
     clock = values[:, :2] if timed else np.full((len(values), 2), np.nan)
     rate = (head.get("FREQUENCY") or [""])[0]
@@ -186,8 +185,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     clock, values, beyond = _parse_table(lines[_HEADER:], len(labels), name, notes)
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
-    if beyond:
-        notes.append(f"{beyond} columns of points without a label left out")
+    notes += [f"{beyond} columns of points without a label left out"] * (beyond > 0)
     rate, rows = header.get("DataRate", ""), len(values)
     values, times, missing = _with_frames_of_times(values, clock, rate, name)
     stated, found = header.get("NumFrames", "")[:9], max(rows, len(values))
@@ -248,8 +246,7 @@ def _parse_table(
         try:
             row = [float(cell) if cell.strip() else np.nan for cell in cells]
         except ValueError as error:
-            shown = " ".join(cells)[:60]
-            raise FormatError(f"{name}: expected numbers, got {shown!r}") from error
+            raise FormatError(f"{name}: expected numbers, got {' '.join(cells)[:60]!r}") from error
         more = [k for k in range(width, len(row)) if not np.isnan(row[k])]
         beyond = max(beyond, more[-1] + 1 - width if more else 0)
         table[rows, : len(row)] = row[:width]
