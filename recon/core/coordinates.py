@@ -20,6 +20,8 @@ _MARKER_EXTENT = (0.5, 2.5)
 """Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
 _SANE_EXTENT = (0.05, 10.0)
 """Metres; outside it no body was recorded and the unit a file declares is wrong."""
+_SMALLEST_BODY = 0.2
+"""Metres that two ends of a body span at least; adults in cm that are called mm have 0.19."""
 
 _FASTEST_SLIDE = 2.5
 """Metres per second that the slowest foot has at most, half of the time, under a true scale."""
@@ -83,15 +85,13 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
             f"{name}: expected bones of {low} m to {high} m from head to foot in one of the units "
             f"{', '.join(METRES)}, got {length:.4g} units; give the unit with --unit"
         )
-    metres = METRES[fitting[0]]
-    return fitting[
-        0
-    ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
+    tall = length * METRES[fitting[0]]
+    return fitting[0], f"unit {fitting[0]}: head to foot is {tall:.2f} m along the bones"
 
 
-def hint_at_unusual_unit(size: float) -> str:
-    """Return a hint for messages if a size fits an adult in a rare unit; else an empty text."""
-    found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
+def hint_at_adult(size: float, units: Sequence[str] = _UNUSUAL) -> str:
+    """Return a hint for messages if a size fits an adult in one of some units; else no text."""
+    found = [one for one in units if _ADULT[0] <= size * METRES[one] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
 
@@ -106,22 +106,27 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     if len(fitting) != 1:
         raise UnitsError(
             f"{name}: expected markers that span {low} m to {high} m in m, cm or mm, got "
-            f"{extent:.4g} units{hint_at_unusual_unit(extent)}; give the unit with --unit"
+            f"{extent:.4g} units{hint_at_adult(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
 
-def reason_for_declared_unit(unit: str, size: float, name: str) -> str:
+def reason_for_declared_unit(unit: str, size: float, name: str, names: Sequence[str] = ()) -> str:
     """Check that a body's size is possible in the unit that a file states; return the reason.
+
+    What shows two of foot, pelvis and head among its points' `names` is no single hand or knee.
 
     Raises:
         ValueError: when no body has that size.
     """
-    metres = size * METRES[unit]
-    if not _SANE_EXTENT[0] <= metres <= _SANE_EXTENT[1]:
+    metres, words = size * METRES[unit], set(_plain_words(names))
+    feet = {word for word in words if _LOW.search(word)}
+    ends = [bool(feet), *(any(map(end.search, words - feet)) for end in (_PELVIS, _HEAD))]
+    least = _SMALLEST_BODY if sum(ends) > 1 else _SANE_EXTENT[0]
+    if not least <= metres <= _SANE_EXTENT[1]:
         raise UnitsError(
-            f"{name}: the file says its unit is {unit}, but then the body measures "
-            f"{metres:.4g} m; give the true unit with --unit"
+            f"{name}: the file says its unit is {unit}, in which the body's size is {metres:.4g} m"
+            f"{hint_at_adult(size, _USUAL + _UNUSUAL)}; give the true unit with --unit"
         )
     return f"unit {unit}: stated by the file"
 
@@ -187,9 +192,8 @@ def notes_on_missing_path(
         path: of the body, in any unit.
         rotations: of its joints.
     """
-    if len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT:
-        return ""
-    if np.ptp(rotations, axis=0).max() < _BENDS:
+    moves = len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT
+    if moves or np.ptp(rotations, axis=0).max() < _BENDS:
         return ""
     return (
         "the translation is the same in every frame though the body moves: the file holds poses "
@@ -210,7 +214,7 @@ def vectors_up_body(
     fellow on the floor is hidden. Without them it goes from the pelvis to head and neck, from the
     chest to the neck, or from the shoulders to the head; a single foot is the last resort.
     """
-    words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
+    words = _plain_words(names)
 
     def points_named(pattern: re.Pattern[str]) -> np.ndarray:
         return visible & np.array([bool(pattern.search(word)) for word in words])
@@ -233,6 +237,11 @@ def vectors_up_body(
         )
         shown |= new
     return found[shown]
+
+
+def _plain_words(names: Sequence[str]) -> list[str]:
+    """Return names in lower case without their subject, with _ for what is no letter."""
+    return [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
 
 
 def _means_of_chosen(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -270,10 +279,9 @@ def inferred_up(
     try:
         up, reason = decide_up(rise, hinted, name)
     except UnitsError:
-        floor = None if rise is None else axis_of_floor(rise, positions, visible)
-        if floor is None:
-            raise
-        return floor
+        if floor := None if rise is None else axis_of_floor(rise, positions, visible):
+            return floor
+        raise
     if hinted is None or hinted == up or hinted[0] != up[0]:
         return up, reason
     hands, feet = (_height_range(one, positions, visible) for one in (hinted, up))

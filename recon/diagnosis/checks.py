@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
+from recon.body.model import ODDEST
 from recon.body.soles import ground_heights
 from recon.core.limits import FEW_MOMENTS
 from recon.core.skeleton import JOINTS
@@ -35,7 +35,12 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.frame_rate import rate_finding
-from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
+from recon.diagnosis.movement import (
+    height_findings,
+    support_findings,
+    treadmill_finding,
+    with_belt,
+)
 from recon.diagnosis.points import screen_points
 from recon.fitting.records import ClipFit
 from recon.method.sensor import Sensor, views_of
@@ -209,8 +214,6 @@ _MAX_SHAPE_STDS, _MAX_SHAPE_STDS_MARKERS = 1.5 * ODDEST, 15.0
 add to the differences between people, and real markers stand off the skin or away from the
 landmark that they are named after: good recordings reach 14. Wrong units and scales show in the
 height."""
-_MIN_CHILD_HEIGHT_M = 0.95
-"""Height (m); smaller children do not walk on command."""
 _MAX_SOLE_HEIGHT_M = 0.15
 """Distance (m) of standing soles from a known ground, above which there is a warning."""
 
@@ -227,19 +230,7 @@ def body_findings(found: ClipFit) -> Findings:
     # a shape outside the human range may come from markers that are not really on the skin
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = _likely_causes(found.observations)
-    said = Findings()
-    if not views and _MIN_CHILD_HEIGHT_M < tall <= SHORTEST_BODY:
-        text = (
-            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
-            "only roughly. If it is an adult, check the unit and the scale of the points"
-        )
-        said += Findings(diagnosis=(Finding("body size", text, value=tall),))
-    elif not SHORTEST_BODY < tall < TALLEST_BODY:
-        text = (
-            f"the person would be {tall:.2f} m tall; check {sizes} (an adult body cannot fit a "
-            "child better)"
-        )
-        said += Findings(warnings=(Finding("body size", text, value=tall),))
+    said = height_findings(tall, sizes, may_be_child=not views)
     if not said.warnings and odd > (_MAX_SHAPE_STDS_MARKERS if on_skin else _MAX_SHAPE_STDS):
         text = (
             f"the person's shape is {odd:.1f} standard deviations from the average; check {sizes}"

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.points import TrackedPoints
-from recon.body.model import BodyModel
+from recon.body.model import SHORTEST_BODY, TALLEST_BODY, BodyModel
 from recon.body.parts import centre_of_mass, vertex_masses_of_segments
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
-from recon.diagnosis.findings import Finding, spans, stretches
+from recon.diagnosis.findings import NOTHING, Finding, Findings, spans, stretches
 
 _HIPS = (joint_index("left_hip"), joint_index("right_hip"))
 _KNEES = (joint_index("left_knee"), joint_index("right_knee"))
@@ -311,3 +311,27 @@ def _path_of_belt(
 ) -> Float[Tensor, "time 3"]:
     times = start + torch.arange(count, dtype=torch.float64) / fps
     return torch.nn.functional.pad(times[:, None] * belt.double(), (0, 1))
+
+
+_MIN_CHILD_HEIGHT_M = 0.95
+"""Height (m); smaller children do not walk on command."""
+
+
+def height_findings(tall: float, causes: str, *, may_be_child: bool) -> Findings:
+    """Return a warning of a height (m) that no adult has, which asks to check some `causes`.
+
+    Where there `may_be_child`, as in points in metres, a child's height is only noted.
+    """
+    if may_be_child and _MIN_CHILD_HEIGHT_M < tall <= SHORTEST_BODY:
+        text = (
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points"
+        )
+        return Findings(diagnosis=(Finding("body size", text, value=tall),))
+    if SHORTEST_BODY < tall < TALLEST_BODY:
+        return NOTHING
+    text = (
+        f"the person would be {tall:.2f} m tall; check {causes} (an adult body cannot fit a "
+        "child better)"
+    )
+    return Findings(warnings=(Finding("body size", text, value=tall),))

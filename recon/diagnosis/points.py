@@ -90,7 +90,9 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
         steady = steady.swapped(pair, moments)
         named, more = exchanged_back(named, (pair,), moments)
         found += more
-    if jumps := identity_changes(steady):  # one body cannot fit two people
+    if jumps := identity_changes(
+        steady.positions, steady.visible, steady.fps
+    ):  # one body cannot fit two people
         return named.observation, found + Findings(warnings=jumps), None, None
     named, more = _names_repaired(named.permuted(named.counterparts, flips), steady, body)
     found += more

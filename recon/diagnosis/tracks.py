@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from observations.noise import estimate_noise
 from recon.core.residuals import NORMAL_MAD
@@ -147,35 +147,44 @@ def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
     )
 
 
-def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
+def identity_changes(
+    positions: Float[np.ndarray, "moments points 3"],
+    visible: Bool[np.ndarray, "moments points"],
+    fps: float,
+) -> tuple[Finding, ...]:
     """Warn where the whole body jumps, as when a tracker switches to another person.
 
     A jump is a step of the whole body that differs from those before and after; the step is the
     median displacement of the points that are seen now and in the last frame with any.
     """
-    count = len(points.visible)
-    step, elapsed = np.full(count, np.nan), np.full(count, 1 / points.fps)
-    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
-        common = points.visible[t] & points.visible[last]
+    count = len(visible)
+    step, elapsed = np.full(count, np.nan), np.full(count, 1 / fps)
+    for last, t in itertools.pairwise(np.flatnonzero(visible.any(1))):
+        common = visible[t] & visible[last]
         if common.sum() >= 3:
-            moved = points.positions[t, common] - points.positions[last, common]
+            moved = positions[t, common] - positions[last, common]
             step[t] = np.linalg.norm(np.median(moved, axis=0))
-            elapsed[t] = (t - last) / points.fps
-    beyond, noise = np.zeros(len(step)), temporal_noise(points)
+            elapsed[t] = (t - last) / fps
+    beyond, noise = (
+        np.zeros(len(step)),
+        estimate_noise(torch.from_numpy(positions), torch.from_numpy(visible), (0.0, torch.inf)),
+    )
     for t in np.flatnonzero(np.isfinite(step)):
         near = np.r_[max(t - 3, 0) : t, t + 1 : min(t + 4, len(step))]
         near = near[np.isfinite(step[near])]
         usual = float(np.median(step[near] / elapsed[near])) * elapsed[t] if len(near) else 0.0
         beyond[t] = step[t] - usual
-    jumps = (beyond > _MIN_JUMP_M + 3 * min(noise, 0.1)) & (beyond > _MIN_JUMP_M_S * elapsed)
+    jumps = (beyond > _MIN_JUMP_M + 3 * min(noise, 0.1) * (noise < torch.inf)) & (
+        beyond > _MIN_JUMP_M_S * elapsed
+    )
     if not jumps.any():
         return ()
     frames, most = stretches(jumps), float(step[jumps].max())
     code: Code = "identity change"
     said = (
         f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
-        "probably another person was tracked from there on; cut the recording there (--between) "
-        "or correct the identities"
+        "probably another person was tracked from there on; cut the recording there (`recon fit "
+        "--between`) or correct the identities"
     )
     if jumps.sum() >= _MIN_DISORDER_JUMPS:
         code = "frame order"

@@ -3,7 +3,8 @@
 import csv
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +153,44 @@ def numbers_of_columns(
                         f"{name}: the number {cell[:40]!r} in row {line} is too large"
                     )
     return values
+
+
+def rows_of_whole_points(
+    rows: Iterable[list[str]], first: int, width: int, name: str, notes: list[str]
+) -> Iterator[list[str]]:
+    """Yield the cells of every row up to its last coordinate, in threes from cell `first` on.
+
+    Points at the end of a row may be left out. A last row that is shorter than all others was cut
+    short: its last point, maybe cut within a number, is left out, and `notes` gets a sentence.
+
+    Args:
+        rows: cells of every row, none of them empty.
+        first: number of cells before the coordinates.
+        width: number of cells by the header.
+        name: of the file, for messages.
+        notes: what was found, one sentence each.
+
+    Raises:
+        FormatError: when a row ends within a point, so that a cell before is missing.
+    """
+    shortest = width - 1
+    for line, (cells, following) in enumerate(pairwise(chain(rows, ([],))), 1):
+        end = next((k for k in range(len(cells), first, -1) if cells[k - 1].strip()), first)
+        over = (end - first) % 3
+        if not following and len(cells) < shortest and end > first and line > 1:
+            end -= over or 3
+            notes.append(
+                f"the last row is cut short after {(end - first) // 3} of {(width - first) // 3} "
+                "points: the others are taken as unseen in it"
+            )
+        elif over:
+            raise FormatError(
+                f"{name}: row {line} below the header has {end} cells, expected {width}, or three "
+                "more or fewer for each point: behind a cell that is lost or added, coordinates "
+                "would go to wrong points; mend that row or leave it out"
+            )
+        shortest = min(shortest, len(cells))
+        yield cells[:end]
 
 
 def with_missing_frames(

@@ -13,6 +13,8 @@ from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
+from recon.diagnosis.movement import height_findings
+from recon.diagnosis.tracks import identity_changes
 from recon.ingest.conversion import Conversion, on_ground
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
@@ -181,7 +183,15 @@ def _conversion_of_fit(
     warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
-    warnings += marker_findings(fit, chosen, markers)
+    warnings += (
+        *marker_findings(fit, chosen, markers),
+        *identity_changes(chosen.positions, chosen.visible, chosen.fps),
+    )
+    size = height_findings(
+        float(body.height(fit.motion.shape)),
+        "the unit (--unit), the axes (--up, --hand) and the labels",
+        may_be_child=True,
+    )
     converted = on_ground(
         fit.motion,
         marker_residuals(fit, chosen),
@@ -194,9 +204,9 @@ def _conversion_of_fit(
     )
     return dataclasses.replace(
         converted,
-        diagnosis=(*converted.diagnosis, *_residual_findings(fit, chosen)),
+        diagnosis=(*converted.diagnosis, *size.diagnosis, *_residual_findings(fit, chosen)),
         repairs=(*converted.repairs, *found.repairs, *repaired),
-        warnings=(*converted.warnings, *warnings),
+        warnings=(*converted.warnings, *size.warnings, *warnings),
     )
 
 

@@ -15,7 +15,12 @@ from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
 from recon.formats.replacing import write_text
-from recon.formats.text_tables import numbers_of_columns, read_rows, with_missing_frames
+from recon.formats.text_tables import (
+    numbers_of_columns,
+    read_rows,
+    rows_of_whole_points,
+    with_missing_frames,
+)
 from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
@@ -57,11 +62,14 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     JOINTS.check(len(labels), name, "Name")
     SAMPLES.check(len(rows) * len(labels), name)
     wanted = [columns.get((label, axis), -1) for label in labels for axis in "XYZ"]
-    values = numbers_of_columns(rows[start + 1 :], [1, *wanted], name, most=len(rows[start]))
+    data, width, notes = rows[start + 1 :], len(rows[start]), list[str]()
+    if {what for _, _, what, _ in cells[2:]} == {"Position"}:
+        data = list(rows_of_whole_points(data, 2, width, name, notes))
+    values = numbers_of_columns(data, [0, 1, *wanted], name, most=width)
     rate = said.get("Export Frame Rate") or said.get("Capture Frame Rate") or ""
     declared = parse_unit(said.get("Length Units", ""))
     return _recording_in_metres(
-        name, labels, values[:, 1:], rate, unit, up, declared, "y", values[:, 0]
+        name, labels, values[:, 2:], rate, unit, up, declared, "y", values[:, :2], notes
     )
 
 
@@ -88,12 +96,15 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     data = [row for row in rows if _is_number(row[0])]
     timed = "Frame" in head  # columns of frame and time come before the markers'
     first = 2 if timed else 0
-    width = first + 3 * len(labels)
-    cells = [[cell.strip() for cell in row[:width]] for row in data]
+    width, notes = first + 3 * len(labels), list[str]()
+    stripped = ([cell.strip() for cell in row[:width]] for row in data)
+    cells = list(rows_of_whole_points(stripped, first, width, name, notes))
     values = numbers_of_columns(cells, range(width), name, most=width)
-    times = values[:, 1] if timed else np.full(len(values), np.nan)
+    clock = values[:, :2] if timed else np.full((len(values), 2), np.nan)
     rate = (head.get("FREQUENCY") or [""])[0]
-    return _recording_in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", times)
+    return _recording_in_metres(
+        name, labels, values[:, first:], rate, unit, up, "mm", "z", clock, notes
+    )
 
 
 def _is_number(cell: str) -> bool:
@@ -118,25 +129,27 @@ def _recording_in_metres(
     up: Up | None,
     declared: str | None,
     custom: Up,
-    times: Float[np.ndarray, " time"],
+    clock: Float[np.ndarray, "time 2"],
+    notes: Sequence[str],
 ) -> MarkerRecording:
     """Make a recording in metres and z up of a table; NaN or three zeros mean not visible.
 
-    Times are NaN where the table has none; the recording then starts at 0.
+    Frame numbers and times are NaN where the table has none; the recording then starts at 0.
     """
     if len(values) == 0 or not _is_number(rate):
         raise FormatError(f"{name}: expected rows of frames and a frame rate, got {rate[:20]!r}")
-    fps, said = stated_rate(_number(rate), name, "frame rate")
-    points, missing = _with_frames_of_times(
-        values.reshape(len(values), len(labels), 3), times, rate, name
+    stated_rate(_number(rate), name, "frame rate")
+    points, times, missing = _with_frames_of_times(
+        values.reshape(len(values), len(labels), 3), clock, rate, name
     )
+    fps, said = _frame_rate(rate, float(times[-1] - times[0]), len(points), name)
     raw = MarkerRecording(
         name=name,
         marker_names=tuple(labels),
         positions=points,
         visible=np.ones(points.shape[:2], bool),
         fps=fps,
-        decisions=(said, *missing),
+        decisions=(said, *notes, *missing),
         start_time=float(times[0]) if np.isfinite(times[0]) else 0.0,
     )
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
@@ -168,15 +181,19 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     labels = _labels(lines[3])
     if not any(labels) or lines[3].split()[0].lower() != "frame#":
         raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
-    times, values, beyond = _parse_table(lines[_HEADER:], len(labels), name)
-    stated = header.get("NumFrames", "")[:9]
-    if stated.isdigit() and int(stated) > len(values):
-        raise FormatError(
-            f"{name}: expected {stated} frames, got {len(values)}; the file is cut short"
-        )
+    notes: list[str] = []
+    clock, values, beyond = _parse_table(lines[_HEADER:], len(labels), name, notes)
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
-    notes = [f"{beyond} columns of points without a label left out"] if beyond else []
+    notes += [f"{beyond} columns of points without a label left out"] * (beyond > 0)
+    rate, rows = header.get("DataRate", ""), len(values)
+    values, times, missing = _with_frames_of_times(values, clock, rate, name)
+    stated, found = header.get("NumFrames", "")[:9], max(rows, len(values))
+    if stated.isdigit() and int(stated) > found:
+        raise FormatError(
+            f"{name}: expected {stated} frames (NumFrames), got {found}; the file is cut short: "
+            "export or copy it again, or correct NumFrames in line 3"
+        )
     if (np.diff(times) <= 0).any():
         notes.append("the column Time does not rise: frames are taken in the order of the file")
     custom: Up = "y"
@@ -185,8 +202,6 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         values, custom = values[..., [2, 0, 1]], "z"
         if up is not None:
             up = signed_axis((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
-    rate = header.get("DataRate", "")
-    values, missing = _with_frames_of_times(values, times, rate, name)
     fps, note = _frame_rate(rate, float(times[-1] - times[0]), len(values), name)
     raw = MarkerRecording(
         name=name,
@@ -213,46 +228,77 @@ def _labels(line: str) -> list[str]:
     return [cell for cell in cells if cell]
 
 
-def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return a table's times, its coordinates, and the number of further number columns."""
+def _parse_table(
+    lines: list[str], markers: int, name: str, notes: list[str]
+) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time markers 3"], int]:
+    """Return frame numbers and times, coordinates, and the number of further number columns."""
     width = 2 + 3 * markers
     JOINTS.check(markers, name, "line 4")
     SAMPLES.check(max(len(lines), 1) * markers, name)
     table = np.full((len(lines), width), np.nan)
     rows = beyond = 0
-    for line in (one.replace(",", ".") for one in lines):  # decimal commas
-        if not line.strip():
-            continue
-        cells = line.split("\t") if "\t" in line else line.split()
+    split = (
+        line.split("\t") if "\t" in line else line.split()
+        for line in (one.replace(",", ".") for one in lines)  # decimal commas
+        if line.strip()
+    )
+    for cells in rows_of_whole_points(split, 2, width, name, notes):
         try:
             row = [float(cell) if cell.strip() else np.nan for cell in cells]
         except ValueError as error:
-            raise FormatError(f"{name}: expected numbers, got {line[:60]!r}") from error
+            raise FormatError(f"{name}: expected numbers, got {' '.join(cells)[:60]!r}") from error
         more = [k for k in range(width, len(row)) if not np.isnan(row[k])]
         beyond = max(beyond, more[-1] + 1 - width if more else 0)
         table[rows, : len(row)] = row[:width]
         rows += 1
-    if beyond % 3:
-        raise FormatError(
-            f"{name}: a row has {width + beyond} cells; {markers} markers fill {width}, and each "
-            "point without a label three more"
-        )
     table = table[:rows]
     if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
         raise FormatError(f"{name}: expected rows of frame number, time and finite coordinates")
     TIME.check(table[:, 1], name, "column Time, row ")
-    return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
+    return table[:, :2], table[:, 2:].reshape(len(table), markers, 3), beyond
 
 
 def _with_frames_of_times(
-    values: Float[np.ndarray, "rows markers 3"], times: np.ndarray, rate: str, name: str
-) -> tuple[Float[np.ndarray, "time markers 3"], tuple[str, ...]]:
-    """Insert frames that a table leaves out, if all times are whole frames of the stated rate."""
-    frames = (times - times[0]) * _number(rate)
-    index = np.rint(frames)
-    if (np.abs(frames - index) <= _FRACTION).all() and (np.diff(index) >= 1).all():
-        return with_missing_frames(values, index, name)
-    return values, ()
+    values: Float[np.ndarray, "rows markers 3"],
+    clock: Float[np.ndarray, "rows 2"],
+    rate: str,
+    name: str,
+) -> tuple[Float[np.ndarray, "time markers 3"], Float[np.ndarray, " kept"], tuple[str, ...]]:
+    """Leave out repeated rows, and insert frames that a table leaves out, by its times.
+
+    Frames are inserted only if most steps are one frame of the stated rate, and all are whole
+    ones. The times may be in another unit than seconds, in which most steps are one frame.
+
+    Args:
+        values: coordinates of every row.
+        clock: frame number and time of every row; NaN where the table has none.
+        rate: frames per second, as the file states it.
+        name: of the file, for messages.
+
+    Returns:
+        Coordinates of every frame, times of the kept rows in seconds, and sentences that say so.
+    """
+    notes: tuple[str, ...] = ()
+    again = np.array([False, *(np.diff(clock, axis=0) == 0).all(1)])
+    if 0 < again.sum() < len(again) / 2:
+        values, clock = values[~again], clock[~again]
+        notes = (f"rows that repeat frame number and time are left out: {again.sum()}",)
+    times, fps = clock[:, 1], _number(rate)
+    if len(times) < 2 or not FRAME_RATE.holds(fps):
+        return values, times, notes
+    step = float(np.median(np.diff(times)))
+    for unit, per_second in {"s": 1.0, "ms": 1e3, "microseconds": 1e6, "frames": fps}.items():
+        frames = (times - times[0]) * (fps / per_second)
+        index = np.rint(frames)
+        if abs(step * fps / per_second - 1) > _FRACTION:
+            continue
+        if unit != "s":
+            notes += (f"times are in {unit}, by their steps of {step:g} and the frame rate",)
+        if (np.abs(frames - index) <= _FRACTION).all() and (np.diff(index) >= 1).all():
+            values, missing = with_missing_frames(values, index, name)
+            notes += missing
+        return values, times / per_second, notes
+    return values, times, notes
 
 
 def _frame_rate(stated: str, span: float, frames: int, name: str) -> tuple[float, str]:
@@ -269,9 +315,10 @@ def _frame_rate(stated: str, span: float, frames: int, name: str) -> tuple[float
     if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
         return snapped_rate(header), f"{header:g} frames per second: stated by the file"
     if not FRAME_RATE.holds(measured):
-        raise FormatError(f"{name}: neither DataRate nor the time column gives a frame rate")
+        raise FormatError(f"{name}: neither the header nor the time column gives a frame rate")
     return snapped_rate(measured), (
-        f"{measured:.4g} frames per second: by the time column, though DataRate is {stated[:20]!r}"
+        f"{measured:.4g} frames per second: by the time column, though the file states "
+        f"{stated[:20]!r}"
     )
 
 

@@ -211,8 +211,10 @@ def settle_markers(
     shown = visible.any(1)
     ends = [np.where(visible[..., None], positions, far)[shown] for far in (math.inf, -math.inf)]
     extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
+    often = visible[shown].mean(0) > _MOSTLY_SEEN
+    names = [name for name, one in zip(raw.marker_names, often, strict=True) if one]
     unit, reason = _decided_unit(
-        unit, declared, float(extent.max()), told.unit_from_markers, raw.name
+        unit, declared, float(extent.max()), told.unit_from_markers, raw.name, names
     )
     up_reason = f"up axis {up}: given"
     if up is None:
@@ -222,7 +224,7 @@ def settle_markers(
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
     limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
     times_seen: Counter[str] = Counter()
-    names: list[str] = []
+    names = []
     for name in raw.marker_names:
         times_seen[name] += 1
         names.append(name if times_seen[name] == 1 else f"{name}#{times_seen[name]}")
@@ -235,6 +237,8 @@ def settle_markers(
     )
 
 
+_MOSTLY_SEEN = 0.75
+"""Share of frames in which markers are seen that must give a body its size."""
 _GIVEN_SIZE_M = (0.3, 10)
 """Metres outside of which nobody, and no group of people, was recorded."""
 
@@ -245,6 +249,7 @@ def _decided_unit(
     size: float,
     guess: Callable[[float, str], tuple[str, str]],
     name: str,
+    names: Sequence[str] = (),
 ) -> tuple[str, str]:
     """Return the unit that the user gives, the file states or the size implies, and why.
 
@@ -261,7 +266,7 @@ def _decided_unit(
             )
         return given, f"unit {given}: given"
     if declared is not None:
-        return declared, told.reason_for_declared_unit(declared, size, name)
+        return declared, told.reason_for_declared_unit(declared, size, name, names)
     return guess(size, name)
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import hint_at_unusual_unit, inferred_up
+from recon.core.coordinates import hint_at_adult, inferred_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
@@ -186,7 +186,7 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
         raise UnitsError(
             f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
             "average person in metres, which no person is in m, cm or mm"
-            f"{hint_at_unusual_unit(_STATURE * found.size)}; scale them to metres, or give "
+            f"{hint_at_adult(_STATURE * found.size)}; scale them to metres, or give "
             "--unit; keypoints in pixels go into an .npz, keypoints=(frames, points, 3)"
         )
     size = found.size * METRES[unit or fitting[0]]

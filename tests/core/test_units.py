@@ -52,6 +52,16 @@ def test_a_declared_unit_that_makes_a_dwarf_is_refused() -> None:
     assert "stated" in reason_for_declared_unit("mm", 1700.0, "clip")
 
 
+def test_a_declared_unit_that_makes_a_child_of_a_hands_size_is_refused() -> None:
+    """A person of 0.16 m was read without a word, as a single knee of that size is."""
+    said = r"body's size is 0\.158 m, but an adult's in cm \(--unit cm\)"
+    for names in (["Ann:LASI", "Ann:LTOE"], ["LFHD", "heel"], ["head", "RPSI"]):
+        with pytest.raises(ValueError, match=said):
+            reason_for_declared_unit("mm", 158.0, "clip", names)
+    for names in (["knee1", "knee2"], ["LTOE", "LHEE", "HeadOfFoot"], ["RWRA", "RFIN"]):
+        assert "stated" in reason_for_declared_unit("mm", 158.0, "clip", names)
+
+
 def test_an_unknown_unit_is_refused_with_the_known_ones() -> None:
     for word in ("furlong", "0", "-1", "nan", "inf", ""):
         with pytest.raises(ValueError, match="inch"):

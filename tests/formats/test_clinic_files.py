@@ -145,7 +145,7 @@ def test_points_without_a_label_are_left_out_of_a_trc(tmp_path: Path) -> None:
     assert np.abs(back.positions - markers.positions[:, [0, 2, 3]]).max() < 1e-6  # m
 
     (tmp_path / "odd.trc").write_text("\n".join([*lines[:6], lines[6] + "\t1", *lines[7:]]))
-    with pytest.raises(ValueError, match="a row has 15 cells; 4 markers fill 14"):
+    with pytest.raises(ValueError, match="row 1 below the header has 15 cells, expected 14"):
         read(tmp_path / "odd.trc")
 
 

@@ -1,5 +1,6 @@
 """C3D, TRC and MATLAB markers: values, units, gaps, names."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,65 @@ def test_trc_rate_comes_from_the_times_where_the_header_is_wrong(tmp_path: Path)
     text = (tmp_path / "clip.trc").read_text().replace("\n100\t100\t", "\n50\t50\t")
     (tmp_path / "clip.trc").write_text(text)
     assert read_recording(tmp_path / "clip.trc").fps == 100
+
+
+def rewritten(path: Path, change: Callable[[list[list[str]]], object]) -> MarkerRecording:
+    """Write five frames as a TRC file, change the cells of its rows, and read it."""
+    write_trc(path, make_markers())
+    lines = path.read_text().splitlines()
+    rows = [line.split("\t") for line in lines[6:]]
+    change(rows)
+    path.write_text("\n".join([*lines[:6], *("\t".join(row) for row in rows)]))
+    back = read_recording(path)
+    assert isinstance(back, MarkerRecording)
+    return back
+
+
+@pytest.mark.parametrize(("unit", "per_second"), [("ms", 1000), ("frames", 100)])
+def test_times_of_a_table_may_be_in_another_unit(
+    unit: str, per_second: int, tmp_path: Path
+) -> None:
+    """Thousands of unseen frames were put between the rows."""
+
+    def change(rows: list[list[str]]) -> None:
+        for row in rows:
+            row[1] = f"{float(row[1]) * per_second:g}"
+
+    back = rewritten(tmp_path / "clip.trc", change)
+    assert (back.frames, back.fps) == (5, 100)
+    assert any(f"times are in {unit}" in said for said in back.decisions)
+
+
+def test_a_row_missing_from_the_middle_of_a_trc_is_a_frame(tmp_path: Path) -> None:
+    """The file was refused as cut short, which is true only where its end is missing."""
+    back = rewritten(tmp_path / "clip.trc", lambda rows: rows.pop(2))
+    assert back.visible.any(1).tolist() == [True, True, False, True, True]
+    with pytest.raises(ValueError, match=r"expected 5 frames .*, got 4; the file is cut"):
+        rewritten(tmp_path / "clip.trc", lambda rows: rows.pop())
+
+
+def test_a_row_that_lost_a_cell_is_refused(tmp_path: Path) -> None:
+    """All coordinates after it went to other axes and points."""
+    with pytest.raises(ValueError, match="row 2 below the header has 13 cells, expected 14"):
+        rewritten(tmp_path / "clip.trc", lambda rows: rows[1].pop(3))
+
+
+def test_rows_that_repeat_a_frame_do_not_change_the_rate(tmp_path: Path) -> None:
+    """The rate became that of the number of rows."""
+    back = rewritten(tmp_path / "clip.trc", lambda rows: rows.insert(2, rows[1]))
+    assert (back.frames, back.fps) == (5, 100)
+    assert "rows that repeat frame number and time are left out: 1" in back.decisions
+
+
+def test_a_last_row_cut_within_a_number_is_said(tmp_path: Path) -> None:
+    """It was taken without a word, and with the rest of the number."""
+
+    def change(rows: list[list[str]]) -> None:
+        rows[-1][7:] = [rows[-1][7][:2]]
+
+    back = rewritten(tmp_path / "clip.trc", change)
+    assert back.visible[-1].tolist() == [make_markers().visible[-1, 0], False, False, False]
+    assert any("last row is cut short after 1 of 4 points" in said for said in back.decisions)
 
 
 def test_repeated_labels_are_numbered(tmp_path: Path) -> None:

@@ -52,6 +52,21 @@ def codes(found: tuple[Finding, ...]) -> list[str]:
     return [finding.code for finding in found]
 
 
+def test_another_person_and_a_size_of_nobody_are_said(
+    markers: MarkerRecording, single: BodyModel
+) -> None:
+    """Only `recon fit` said it of labels that move to another subject, or of a wrong unit."""
+    moved = markers.positions + np.where(np.arange(markers.frames) < 15, 0.0, 1.0)[:, None, None]
+    found = convert(
+        dataclasses.replace(markers, positions=moved * markers.visible[..., None]), single
+    )
+    assert "identity change" in codes(found.warnings)
+    assert "body size" not in codes(found.warnings + found.diagnosis)
+    found = convert(dataclasses.replace(markers, positions=0.4 * markers.positions), single)
+    assert "body size" in codes(found.warnings)
+    assert "identity change" not in codes(found.warnings)
+
+
 @pytest.fixture(scope="module")
 def with_gaps(markers: MarkerRecording, single: BodyModel) -> Conversion:
     """No marker in frames 0-7 and 14-18 of 30, and never one on the left arm."""
