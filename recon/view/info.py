@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core.coordinates import notes_on_missing_path
+from recon.core.errors import FormatError
 from recon.core.hands import right_handed_signs
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
@@ -29,6 +31,7 @@ from recon.formats.producers import producer_of, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
+from recon.ingest.maps import recognise, right_handed_skeleton
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import holds_points_3d, points_of_recording, read_points_3d
 from recon.keypoints3d.records import Points3D
@@ -230,6 +233,9 @@ def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     recording = read_recording(path, unit=axes["unit"], up=axes["up"])
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
         return _describe_points(points_of_recording(recording), {"hand": axes["hand"]})
+    if not isinstance(recording, MarkerRecording):
+        with suppress(FormatError):  # `recon convert` says which joints are asked for
+            recording = right_handed_skeleton(recording, recognise(recording), axes["hand"])
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )
