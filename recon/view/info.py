@@ -15,6 +15,7 @@ from recon.core.errors import FormatError
 from recon.core.hands import right_handed_signs
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
+from recon.detections.tables import holds_detections
 from recon.formats import producers
 from recon.formats.estimates import read_estimate
 from recon.formats.joint_table import JointCertainty
@@ -113,7 +114,7 @@ def _describe_by_kind(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
             return _describe_recording(file, axes)
         case producers.POINTS_2D:
             return describe_detections(file)
-        case _ if ending in (".json", ".csv"):
+        case _ if ending in (".json", ".csv") or holds_detections(file):
             return describe_detections(file)
         case _ if ending != ".npz":
             return _describe_recording(file, axes)
