@@ -42,7 +42,7 @@ def convert(
             or what `recon.mocap.reader.read_recording` made of it.
         unit: of the file; default: found out.
         up: axis of the file that points up, or down; default: found out.
-        hand: handedness of the coordinates of markers; default: found out.
+        hand: handedness of the coordinates; default: found out.
         mapping: JSON or TOML file that says which of its joints or markers are which. Of markers
             without names (*1, U_1, unlabeled-12): a recording of the same person and set that has
             names, or the table of the set; default: they are looked for at usual places.

@@ -22,7 +22,7 @@ from recon.formats.replacing import (
 )
 from recon.formats.text_tables import write_rows
 from recon.ingest.conversion import Conversion, convert_skeletons, jump_frames
-from recon.ingest.maps import recognise
+from recon.ingest.maps import recognise, right_handed_skeleton
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
 
@@ -117,6 +117,7 @@ def calibrate_group(
         skeleton = recognise(recordings[0])
     except ValueError as error:
         return str(error)
+    recordings = [right_handed_skeleton(one, skeleton) for one in recordings]
     return calibrate(recordings, skeleton, _loaded_body(body_path))
 
 
@@ -137,7 +138,8 @@ def convert_task(task: Task, content: ClipContent) -> Record:
             f"{task.clip.source}: it changed while the folder was converted; run again"
         )
     body = _loaded_body(task.body)
-    pieces, rows = split_at_jumps(task.clip, recording)
+    turned = right_handed_skeleton(recording, task.subject.skeleton)
+    pieces, rows = split_at_jumps(task.clip, turned)
     for piece in pieces:
         _check_target(task, piece)
     outputs: dict[str, str] = {}
@@ -156,7 +158,7 @@ def convert_task(task: Task, content: ClipContent) -> Record:
             "contacts": clip.sure_contacts,
             "skeleton": task.subject.skeleton.name,
             "cut": piece.cut,
-            "reason": "",
+            "reason": " ".join(turned.decisions[len(recording.decisions) :]),
             "settings": task.settings,
         }
         outputs[f"{piece.name}.npz"] = _write_piece(path, conversion, row, body)

@@ -44,7 +44,7 @@ def report(
             function of `recon` returned.
         unit: of a recording; None finds it out.
         up: axis of a recording that points up, or down; None finds it out.
-        hand: handedness of the coordinates of a recording's markers; None finds it out.
+        hand: handedness of a recording's coordinates; None finds it out.
         mapping: JSON or TOML file that says which joints or markers of a recording are which.
         body: whose motion it is; only the bundled body has the landmarks that this needs.
 
@@ -179,7 +179,7 @@ def report_file(
         out: page to write; default: the trial's name with .html, in this folder.
         unit: of a recording; default: found out.
         up: axis of a recording that points up, or down; default: found out.
-        hand: handedness of the coordinates of a recording's markers; default: found out.
+        hand: handedness of a recording's coordinates; default: found out.
         mapping: JSON or TOML file that says which markers of a recording are which.
         overwrite: replace files that are there and recon did not write.
 

@@ -1,7 +1,7 @@
 """Finds the body model's joints in recorded skeletons, by known names or by a user's file."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -13,7 +13,9 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import FormatError, ReconError
-from recon.core.skeleton import FEET, JOINTS, joint_index
+from recon.core.hands import right_handed_signs
+from recon.core.skeleton import FEET, JOINTS, MIRROR, joint_index
+from recon.core.units import Hand
 from recon.formats.texts import read_toml
 from recon.mocap.reader import (
     NEEDED,
@@ -116,6 +118,41 @@ def _skeleton_map(name: str, table: SkeletonTable, their_names: Mapping[str, str
         return tuple((j, their_names[plain_joint_name(part[JOINTS[j]])]) for j in numbers)
 
     return SkeletonMap(name, joints_feet_last(positions), joints_feet_last(orientations))
+
+
+def right_handed_skeleton(
+    recording: SkeletonRecording, skeleton: SkeletonMap, hand: Hand | None = None
+) -> SkeletonRecording:
+    """Return the recording in right-handed axes, with a note in it if it was changed.
+
+    Where `hand` is given and knees and feet still point backwards by the names left and right,
+    these names are exchanged.
+
+    Args:
+        recording: in metres, z up.
+        skeleton: which of its joints are the body model's.
+        hand: handedness of the axes; None tells it from the body.
+    """
+    chosen = recording.positions[:, [recording.joint(name) for _, name in skeleton.positions]]
+    names, visible = [JOINTS[k] for k in skeleton.joints], np.ones(chosen.shape[:2], dtype=bool)
+    signs, said = right_handed_signs(names, chosen, visible, hand)
+    theirs = recording.joint_names
+    if hand is not None and right_handed_signs(names, chosen * signs, visible)[1]:
+        both = (dict(skeleton.positions), dict(skeleton.orientations))
+        other = {part[k]: part[MIRROR[k]] for part in both for k in part if MIRROR[k] in part}
+        theirs = tuple(other.get(name, name) for name in theirs)
+        said += (
+            f"feet or knees point backwards by the names left and right, if coordinates are {hand}"
+            "-handed as given: left and right joints were exchanged",
+        )
+    return replace(
+        recording,
+        joint_names=theirs,
+        rest_offsets=recording.rest_offsets * signs,
+        positions=recording.positions * signs,
+        orientations=recording.orientations * np.outer(signs, signs),
+        decisions=(*recording.decisions, *said),
+    )
 
 
 _WORST_BONE = 40.0

@@ -8,7 +8,7 @@ from recon.core.arrays import usable_frame_rate
 from recon.core.units import Hand, Up
 from recon.formats.producers import refuse_others
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
-from recon.ingest.maps import recognise
+from recon.ingest.maps import recognise, right_handed_skeleton
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.reader import read_recording
@@ -34,7 +34,7 @@ def convert(
         body: the body model; None is the bundled one.
         unit: unit of the file's lengths; None finds it out.
         up: axis of the file that points up, or down; None finds it out.
-        hand: handedness of the axes of markers; None finds it out.
+        hand: handedness of the axes; None finds it out.
         subject: shape, offsets and alignments from other recordings of the same skeleton; None
             finds them from this one.
         mapping: TOML or JSON file that maps the model's joints or landmarks to the recording's.
@@ -55,9 +55,9 @@ def convert(
     if isinstance(recording, MarkerRecording):
         found = convert_markers(recording, body, mapping=mapping, keep_frame=keep_frame, hand=hand)
     else:
-        recording = drop_lead_in(recording)
+        skeleton = recognise(recording, mapping) if subject is None else subject.skeleton
+        recording = right_handed_skeleton(drop_lead_in(recording), skeleton, hand)
         if subject is None:
-            skeleton = recognise(recording, mapping)
             said = (*recording.decisions, f"skeleton: {skeleton.name}")
             recording = replace(recording, decisions=said)
             subject = calibrate([recording], skeleton, body)

@@ -215,7 +215,8 @@ def read_array(path: Path) -> Points3D:
     if found is None:
         raise FormatError(
             f"{path}: expected numbers of shape (frames, points, 3), got {array.dtype} "
-            f"{array.shape}; keypoints in pixels go into an .npz, keypoints=(frames, points, 3)"
+            f"{array.shape}; keypoints in pixels go into an .npz, keypoints=(frames, points, 3) "
+            "of x, y and a confidence"
         )
     return Points3D(path.name, found)
 

@@ -25,6 +25,8 @@ _SMALLEST, _LARGEST = 0.5, 1.4
 """Sizes against the average body between which a unit is right."""
 _STATURE = 1.7
 """Metres that the average person is tall."""
+_INSIDE = 0.7
+"""Share of the points from which on they lie in an image: legs may lie below its lower edge."""
 _FEWEST = 8
 """Keypoints that must be known by name."""
 _ROOT = 0.04
@@ -74,6 +76,8 @@ def points_in_metres(
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
     up, up_reason = _up_axis(known.names, positions, visible, up, known.name)
+    if unit is None and known.unit is None and up in ("x-down", "y-down"):
+        _refuse_fractions_of_images(known)
     names = known.names
     positions = positions @ (to_z_up(up).T * metres)
     factors, mirrored = right_handed_signs(names, positions, visible, hand)
@@ -176,12 +180,14 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
                 f"{name}: too few bones are seen to tell the unit; give it with --unit"
             )
         return METRES[unit], f"unit {unit}: {why}"
+    fitting = [one for one in ("m", "cm", "mm") if _SMALLEST < found.size * METRES[one] < _LARGEST]
+    if unit is None and (found.misfit > 2 * GOOD or not fitting):
+        _refuse_fractions_of_images(known)
     if found.misfit > 2 * GOOD:
         raise FormatError(
             f"{name}: the points are no body by their names: bones change their lengths or have "
             "lengths that no person's have; check the names of the points"
         )
-    fitting = [one for one in ("m", "cm", "mm") if _SMALLEST < found.size * METRES[one] < _LARGEST]
     if unit is None and not fitting:
         raise UnitsError(
             f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
@@ -199,6 +205,23 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
             f"as an average person{hint}"
         )
     return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
+
+
+def _refuse_fractions_of_images(known: Points3D) -> None:
+    """Refuse points whose x and y are fractions of an image, with a depth or a score of [-1, 1].
+
+    Raises:
+        UnitsError: saying in which form they are read.
+    """
+    places = known.positions[np.isfinite(known.positions).all(-1)]
+    inside = (np.abs(places - (0.5, 0.5, 0.0)) <= (0.5, 0.5, 1.0)).all(-1)
+    if inside.sum() > _INSIDE * len(inside):
+        raise UnitsError(
+            f"{known.name}: expected points in space, but nearly all x and y lie in [0, 1], as "
+            "fractions of an image do (MediaPipe's landmarks; y, x and score of MoveNet). Write "
+            "x · width, y · height (pixels) and a confidence into an .npz, "
+            "keypoints=(frames, points, 3); if these are metres in space, give --unit m"
+        )
 
 
 def _up_axis(

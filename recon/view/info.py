@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from recon.core.errors import FormatError
 from recon.core.hands import right_handed_signs
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
+from recon.detections.tables import holds_detections
 from recon.formats import producers
 from recon.formats.estimates import read_estimate
 from recon.formats.joint_table import JointCertainty
@@ -30,6 +32,7 @@ from recon.formats.producers import producer_of, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
+from recon.ingest.maps import recognise, right_handed_skeleton
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import holds_points_3d, points_of_recording, read_points_3d
 from recon.keypoints3d.records import Points3D
@@ -111,7 +114,7 @@ def _describe_by_kind(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
             return _describe_recording(file, axes)
         case producers.POINTS_2D:
             return describe_detections(file)
-        case _ if ending in (".json", ".csv"):
+        case _ if ending in (".json", ".csv") or holds_detections(file):
             return describe_detections(file)
         case _ if ending != ".npz":
             return _describe_recording(file, axes)
@@ -231,6 +234,9 @@ def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     recording = read_recording(path, unit=axes["unit"], up=axes["up"])
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
         return _describe_points(points_of_recording(recording), {"hand": axes["hand"]})
+    if not isinstance(recording, MarkerRecording):
+        with suppress(FormatError):  # `recon convert` says which joints are asked for
+            recording = right_handed_skeleton(recording, recognise(recording), axes["hand"])
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )

@@ -24,7 +24,7 @@ from recon.export.bvh import skeleton_of, write_bvh
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import jump_frames, resampled
-from recon.ingest.maps import alignments_from_rest, recognise
+from recon.ingest.maps import alignments_from_rest, recognise, right_handed_skeleton
 from recon.ingest.marker_sets import STANDOFF, full_body_markers, nominal_offsets
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from tests.ingest.walker import MARKERS
@@ -121,6 +121,33 @@ def test_t_pose_gives_first_alignments(recording: SkeletonRecording, bundled: Bo
     )  # degrees, another shape
     collapsed = dataclasses.replace(recording, rest_offsets=np.abs(recording.rest_offsets))
     assert alignments_from_rest(collapsed, skeleton, bundled) is None
+
+
+@pytest.mark.parametrize("fault", ["mirrored", "names"])
+def test_left_and_right_of_skeletons_are_told_by_the_body(
+    recording: SkeletonRecording, converted: Conversion, bundled: BodyModel, fault: str
+) -> None:
+    """Mirrored ones gave bodies with knees that bend backwards, and `hand` was ignored."""
+    sides = {"left": "right", "right": "left"}
+    named = [name.partition("_") for name in recording.joint_names]
+    bad = dataclasses.replace(
+        recording, joint_names=tuple(sides.get(a, a) + b + c for a, b, c in named)
+    )
+    if fault == "mirrored":
+        signs = np.array([-1.0, 1.0, 1.0])
+        bad = dataclasses.replace(
+            recording,
+            rest_offsets=recording.rest_offsets * signs,
+            positions=recording.positions * signs,
+            orientations=recording.orientations * np.outer(signs, signs),
+        )
+    found = convert(bad, bundled, hand=None if fault == "mirrored" else "right")
+    assert (found.joints - converted.joints).norm(dim=-1).mean() < 0.001  # metres
+    said = {"mirrored": "mirrored back", "names": "left and right joints were exchanged"}
+    assert any(said[fault] in decision for decision in found.decisions)
+    if fault == "mirrored":
+        given = right_handed_skeleton(bad, recognise(bad), "left")
+        np.testing.assert_array_equal(given.positions, recording.positions)
 
 
 def test_another_rate_on_request(converted: Conversion, bundled: BodyModel) -> None:

@@ -1,6 +1,7 @@
 """Coordinates of every sensor: what is sure is put right and said, what is not is asked for."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -27,6 +28,7 @@ from recon.mocap.recording import MarkerRecording
 from recon.reading.keypoints3d import points_in_metres
 from recon.reading.points import positions_in_metres
 from recon.simulation.points import Corruption, scan_points
+from recon.view.info import info
 from tests.walking import a_walk
 
 BODY = BodyModel.load()
@@ -87,6 +89,24 @@ def test_keypoints_of_any_axes_and_unit_are_settled(up: Up, unit: str) -> None:
         assert np.allclose(apart, true, atol=1e-6)
         assert np.allclose(found.positions[..., 2], file.positions[..., 2], atol=1e-6) or flip < 0
         assert facing_agreement(found.names, found.positions, found.visible).mean() > 0.3
+
+
+@pytest.mark.parametrize("height", [0.4, 0.9])
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_fractions_of_images_are_no_points_in_space(
+    height: float, order: tuple[int, int], tmp_path: Path
+) -> None:
+    """Small people were to be scaled to metres; those who fill an image were read as metres."""
+    x, _, z = np.moveaxis(walk("keypoints3d").positions, -1, 0)
+    places = 0.5 + height / np.ptp(z) * np.stack((x - x.mean(), z.mean() - z), -1)
+    scores = np.full((*x.shape, 1), 0.9)
+    raw = np.concatenate((places[..., list(order)], scores), -1)
+    points = Points3D("walk.npy", raw, keypoint_names("coco17"), fps=50.0)
+    with pytest.raises(UnitsError, match=r"fractions of an image .*x · width, y · height"):
+        points_in_metres(points, BODY)
+    advised = np.concatenate((places * (1280, 720), scores), -1)
+    np.savez(tmp_path / "walk.npz", keypoints=advised)
+    assert info(tmp_path / "walk.npz")["format"] == "2D keypoints of one view"
 
 
 def test_an_axis_that_a_lying_person_may_have_is_asked_for_and_a_wrong_one_put_right() -> None:
