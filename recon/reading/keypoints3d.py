@@ -215,7 +215,7 @@ def _refuse_fractions_of_images(known: Points3D) -> None:
     """
     places = known.positions[np.isfinite(known.positions).all(-1)]
     inside = (np.abs(places - (0.5, 0.5, 0.0)) <= (0.5, 0.5, 1.0)).all(-1)
-    if inside.sum() > _INSIDE * len(inside):
+    if inside.mean() > _INSIDE:
         raise UnitsError(
             f"{known.name}: expected points in space, but nearly all x and y lie in [0, 1], as "
             "fractions of an image do (MediaPipe's landmarks; y, x and score of MoveNet). Write "
