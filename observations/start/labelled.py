@@ -2,8 +2,8 @@
 
 A cloud's labels say of every point where on the body it lies, roughly. So a pose follows as it
 does from markers. What labels get wrong, they get wrong for a whole moment: left for right, the
-front for the back. Therefore every moment is posed under each of these readings, and the readings
-of all moments are chosen together, by what the sensor saw and by how fast people turn.
+front for the back. Therefore every moment is posed under each of these hypotheses, and those of
+all moments are chosen together, by what the sensor saw and by how fast people turn.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ _LEAST_STD = 0.03
 _ELSEWHERE = 0.3
 """Metres that a surfel of another region counts as farther away."""
 _TRUNK = frozenset(REGIONS.index(name) for name in ("head", "chest", "belly", "pelvis"))
-_READINGS = ((1, 1, 1), (-1, 1, 1), (-1, 1, -1))
+_HYPOTHESES = ((1, 1, 1), (-1, 1, 1), (-1, 1, -1))
 """Signs of the labels' places: as they are, left and right exchanged, turned about the long axis
 of the body (left and right, front and back)."""
 _RIGID = (0.5, 0.3, 0.2, 0.15)
@@ -172,14 +172,14 @@ class _PoseTracker:
             turn = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
             upright = torch.cat((turn[None], torch.eye(3).expand(21, 3, 3)))
             return torch.zeros(count, 3), upright.expand(count, 22, 3, 3)
-        readings = [self._targets(moments, signs) for signs in _READINGS]
-        targets = concatenate(readings)
-        eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
-        read = [_labels_of_hypothesis(moments.labels, signs) for signs in _READINGS]
+        hypotheses = [self._targets(moments, signs) for signs in _HYPOTHESES]
+        targets = concatenate(hypotheses)
+        eyes = None if moments.eye is None else moments.eye.repeat(len(_HYPOTHESES), 1)
+        read = [_labels_of_hypothesis(moments.labels, signs) for signs in _HYPOTHESES]
         surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
         posed = self._poses_of_hypotheses(targets)
         posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
-        path = self._cheapest_hypotheses(moments, posed, readings[0])
+        path = self._cheapest_hypotheses(moments, posed, hypotheses[0])
         rows = path * len(moments.number) + torch.arange(len(path))
         penalty = PoseChangePenalty(
             torch.ones(len(path) - 1, dtype=torch.bool),
@@ -227,24 +227,24 @@ class _PoseTracker:
         self, moments: _FramesToPose, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
         """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
-        rows, readings = len(moments.number), len(_READINGS)
+        frames, hypotheses = len(moments.number), len(_HYPOTHESES)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),
             fps=RATE,
         )  # fmt: skip
-        repeated = (readings, 1, 1)
-        eye = None if moments.eye is None else moments.eye.repeat(readings, 1)
+        repeated = (hypotheses, 1, 1)
+        eye = None if moments.eye is None else moments.eye.repeat(hypotheses, 1)
         misfit, contradicted = misfits_of_frames(
             motion, self.body, self.cover, moments.points.repeat(repeated),
-            moments.present.repeat(readings, 1), eye,
+            moments.present.repeat(hypotheses, 1), eye,
         )  # fmt: skip
-        labels = concatenate([found] * readings)
+        labels = concatenate([found] * hypotheses)
         away = labels.residuals(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
         cost = misfit + _AGAINST * contradicted + _LABELS * share
-        cost = cost.view(readings, rows).mT
-        change = _costs_of_changing_hypothesis(posed, readings, moments.seconds)
+        cost = cost.view(hypotheses, frames).mT
+        change = _costs_of_changing_hypothesis(posed, hypotheses, moments.seconds)
         return cheapest_path(cost[None], change)[0]
 
 
@@ -295,7 +295,7 @@ def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> P
 
 def _costs_of_changing_hypothesis(
     posed: BonePoses, hypotheses: int, seconds: Float[Tensor, " between"]
-) -> Float[Tensor, "between readings readings"]:
+) -> Float[Tensor, "between hypotheses hypotheses"]:
     """Cost of going from each hypothesis of a frame to each of the next, by implied speeds."""
     root = posed.root.unflatten(0, (hypotheses, -1)).transpose(0, 1)
     joints = posed.joints.unflatten(0, (hypotheses, -1)).transpose(0, 1)

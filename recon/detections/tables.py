@@ -275,8 +275,9 @@ def _background_points(
     whole = pixels.dtype.kind == "f" and which.dtype.kind in "iu"
     if not shaped or not whole or (which < 0).any() or (which[:, 1] >= len(which)).any():
         raise FormatError(
-            f"{path}: expected background (N, 2) of decimal numbers, and background_of (N, 2) of "
-            "whole numbers: the frame of each, and its point, from 0 to N - 1; got "
+            f"{path}: expected background (N, 2), pixels as decimal numbers, and background_of "
+            "(N, 2), whole numbers: of every row of background the frame and the number of the "
+            "point seen there, below N; got "
             f"{pixels.dtype} {pixels.shape} and {which.dtype} {which.shape}"
         )
     PIXEL.check(pixels, path.name, "background")

@@ -57,7 +57,7 @@ class DoubtedView:
         return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
     def ray_distances(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
-        """Return distances (m) of the view's rays from the others' points; NaN if unknown."""
+        """Return distances (m) of the view's rays from points of other views; NaN if unknown."""
         one = Rays.of((self.images if images is None else images).view([self.view]))
         there = self.exists & (one.weight[0] > 0)
         return np.where(there, one.distances_from(self.points)[0], np.nan)

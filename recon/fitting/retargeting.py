@@ -88,7 +88,10 @@ class JointTargetEnergy(TensorStruct):
     """Positions of joints (m) whose second differences are the given accelerations."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Return ½ Σ |p - q|² + `SMOOTH` ½ Σ |second difference of p - r|²; m², at 30 Hz."""
+        """Return ½ Σ |p - `places`|² + `SMOOTH` ½ Σ |second differences of p - `moving`|².
+
+        Here p are the joints of the estimate; the unit is m² for motions at 30 Hz.
+        """
         motion = estimate.motion
         rate = motion.fps / REFERENCE_FPS
         joints = estimate.body.joints

@@ -26,7 +26,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     """
     if options.completes:
         raise ReconError(
-            "this prior is of one whole gait cycle and needs a search for its start: call "
+            "this prior is of one whole gait cycle, whose fit tries many first guesses: call "
             "recon.fitting.cycles.complete, or `recon complete`"
         )
     method = checked_method(options.prior, options.method)

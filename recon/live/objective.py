@@ -121,7 +121,7 @@ class Equations:
     value: float
     gradient: Float[Tensor, "active 69"]
     inner: Float[Tensor, "active reach_and_one 69 69"]
-    """Blocks of A: [t, k] couples the frames t and t + k; those of `alone` are included."""
+    """Blocks of the Hessian A: [t, k] couples the frames t and t + k; `alone` is included."""
     alone: Float[Tensor, "active 69 69"]
     """Hessian of the terms that depend on one frame alone (data, pose); a part of A."""
     gradient_alone: Float[Tensor, "active 69"]
