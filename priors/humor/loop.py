@@ -258,8 +258,8 @@ class _RollOut(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients by the start, raw output and rotations of every step; the loop goes back in
-        # time, and each step adds to the gradients of the step before it
+        # gradients with respect to the start, raw output and rotations of every step; the loop
+        # goes back in time, and each step adds to the gradients of the step one frame earlier
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

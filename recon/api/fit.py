@@ -132,7 +132,7 @@ def fit(
         observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
-    if paths and _is_estimate(paths):
+    if paths and _hold_estimated_bodies(paths):
         from recon import refine  # imported here, since `refine` imports this module
 
         _refuse_unused_options(paths[0], how_read, start)
@@ -225,10 +225,12 @@ def complete(
     return fit(observations, prior, **how)
 
 
-def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # imported only when files are given
+def _hold_estimated_bodies(paths: Sequence[Path]) -> bool:
+    from recon.formats.producers import (
+        holds_estimated_bodies,
+    )  # imported only when files are given
 
-    return is_estimate(paths)
+    return holds_estimated_bodies(paths)
 
 
 def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:

@@ -46,7 +46,7 @@ class DepthRig:
     shared: Mapping[str, float]
     """Share of its points, without the ground, that another camera sees as well."""
     decisions: tuple[str, ...]
-    """What was found."""
+    """What was found and decided, one sentence each."""
     tables: ClassVar[Tables] = {}
 
     def __iter__(self) -> Iterator[Sensor]:

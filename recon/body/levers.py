@@ -148,7 +148,7 @@ class Levers(TensorStruct):
         weights: Float[Tensor, "frames points"],
     ) -> None:
         """Add Σ weight jᵀj to the Hessians of given frames, j the gradients of points' heights."""
-        joints = self._turning_joints
+        joints = self._joints_that_move_points
         columns = self.arms.unflatten(-1, (-1, len(JOINTS)))[..., joints].flatten(1)
         arms = (pose[:, :2] @ columns).unflatten(-1, (-1, len(joints)))
         # the height changes by (w x lever)_z = w_x lever_y - w_y lever_x
@@ -160,7 +160,7 @@ class Levers(TensorStruct):
         hessians[frames[:, None, None], rows[:, None], rows] += gram
 
     @cached_property
-    def _turning_joints(self) -> Int[Tensor, " some"]:
+    def _joints_that_move_points(self) -> Int[Tensor, " some"]:
         """Numbers of the joints whose rotation moves at least one of the points."""
         arms = self.arms.unflatten(-1, (-1, len(JOINTS)))
         return (arms != 0).any(0).any(0).nonzero()[:, 0]

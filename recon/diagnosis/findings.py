@@ -40,7 +40,7 @@ Code = Literal[
     "body surface",  # the surfaces of two bodies, between which a motion is transferred, differ
     "distance",  # a camera would be nearer or farther than people are filmed
     "gap",  # a stretch of frames without data
-    "few moments",  # moments are so far apart that steps may fall between them
+    "few moments",  # so few a second that footsteps may be missed between them
     "jump",  # the fitted body moves faster between two frames than the data
     "joint centres",  # points given as markers lie inside the body, as joints do
     "focal",  # the camera is not calibrated; its focal length was fitted with the motion

@@ -387,7 +387,7 @@ def holds_sam3d_body(path: Path) -> bool:
     return found is not None and found.name == "SAM 3D Body"
 
 
-def is_estimate(paths: Sequence[Path]) -> bool:
+def holds_estimated_bodies(paths: Sequence[Path]) -> bool:
     """Whether there is just one path, to a file whose first bytes show body parameters.
 
     Motion files of recon, which name their body by its checksum, do not count.

@@ -73,7 +73,7 @@ class PoseBlendShapes(TensorStruct):
         """Return the displacements of the points in given poses; world axes, metres."""
         return (self._blended_rotations(poses) @ self._in_bone_frames(poses)[..., None])[..., 0].mT
 
-    def gradient_by_steps(
+    def gradient_by_rotations(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Return derivatives of Σ forces · displacements by the coordinates of a step."""
@@ -130,15 +130,15 @@ class SkinPoints(TensorStruct):
             places if self.correctives is None else places + self.correctives.displacements(poses)
         )
 
-    def gradient_by_steps(
+    def gradient_by_rotations(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Return derivatives of Σ forces · points by the coordinates of a step."""
-        pull = self.levers.gradient_of(poses.bones, forces)
+        gradient = self.levers.gradient_of(poses.bones, forces)
         return (
-            pull
+            gradient
             if self.correctives is None
-            else pull + self.correctives.gradient_by_steps(poses, forces)
+            else gradient + self.correctives.gradient_by_rotations(poses, forces)
         )
 
     def jacobian_by_shape(
@@ -244,7 +244,7 @@ class PoseEnergies(TiedFrames[Poses]):
         """Return the energies of some frames, without ties, and their gradients."""
         some = _poses_of_rows(state, rows)
         value, slope, away = self._residuals(some, rows)
-        gradient = self.markers.gradient_by_steps(some, away * slope[:, None])
+        gradient = self.markers.gradient_by_rotations(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
         natural, pull = _values_of_rows(self.natural, rows), _values_of_rows(self.pull, rows)
@@ -254,7 +254,7 @@ class PoseEnergies(TiedFrames[Poses]):
         if self.soles is not None:
             depth, weight = self.sole_heights(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
-            gradient = gradient + self.soles.gradient_by_steps(
+            gradient = gradient + self.soles.gradient_by_rotations(
                 some, pad((weight * depth)[:, None], (0, 0, 2, 0))
             )
         return self.weight * value, self.weight * gradient

@@ -59,8 +59,8 @@ _COASTING = 15
 """Frames after which the velocity of somebody unseen is forgotten."""
 _KEPT, _WORST = 12, 14.0
 """Most assignments that are followed side by side, and how much more one may cost."""
-_SAME = 5
-"""Frames after which assignments that differ in names alone are compared."""
+_SEEN_FRAMES = 5
+"""Latest frames of a person that are kept; assignments that agree in these are one."""
 CERTAIN = 3.0
 """Least difference in cost by which one assignment is believed: odds of 20 to 1."""
 
@@ -213,15 +213,15 @@ class _LinkSearch:
         self, rows: Sequence[int], people: Sequence[_Person], frame: int
     ) -> list[int]:
         """Return a frame's detections; of several of one person, the most confident only."""
-        lately = [
+        expected = [
             p.expected(frame)
             for p in people
-            if frame - p.frame <= _LATELY and len(p.rows) == _SAME
+            if frame - p.frame <= _LATELY and len(p.rows) == _SEEN_FRAMES
         ]
         kept: list[int] = []
         for row in sorted(rows, key=lambda r: -float(self.seen.confidence[r].sum())):
             doubles = sum(keypoint_distance(self.seen, row, other) < _SAME_PLACE for other in kept)
-            if doubles < max(sum(self._is_near(row, place) for place in lately), 1):
+            if doubles < max(sum(self._is_near(row, place) for place in expected), 1):
                 kept.append(row)
         return sorted(kept)
 
@@ -322,7 +322,7 @@ class _LinkSearch:
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
         # share of the new frame in running means; in those of a new track all frames count equally
-        share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SAME else _MEMORY
+        share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SEEN_FRAMES else _MEMORY
         trunk = self.trunks[row]
         if not np.isnan(person.trunk) and not np.isnan(trunk):
             trunk = person.trunk + share * (trunk - person.trunk)
@@ -330,7 +330,7 @@ class _LinkSearch:
             trunk = person.trunk
         return replace(
             person,
-            rows=(*person.rows, row)[-_SAME:],
+            rows=(*person.rows, row)[-_SEEN_FRAMES:],
             frame=frame,
             pixels=np.where(known[:, None], pixels, person.pixels + moved),
             known=person.known | known,

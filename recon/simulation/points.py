@@ -207,7 +207,7 @@ def sampled_on_surface(
     random: np.random.Generator,
     values: Float[np.ndarray, "vertices values"] | None = None,
 ) -> Float[np.ndarray, "points values"]:
-    """Draw points uniformly by area from a mesh, or vertex values interpolated at them.
+    """Sample points of a mesh uniformly by area; return vertex values there, if given, instead.
 
     A triangle is drawn by its area, then a point a + s ((1 - t) (b - a) + t (c - a)) of it with
     s² and t uniform (Osada et al. 2002).

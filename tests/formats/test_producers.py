@@ -16,7 +16,14 @@ from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings
 from recon.formats.estimates import read_estimate
-from recon.formats.producers import BODIES, MARKERS, PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.producers import (
+    BODIES,
+    MARKERS,
+    PRODUCERS,
+    Producer,
+    holds_estimated_bodies,
+    producer_of,
+)
 from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
@@ -71,7 +78,7 @@ def test_the_verbs_that_are_named_take_it(tmp_path, producer):
         match verb:
             case "convert":
                 assert read_recording(path).frames > 0
-            case "refine" if is_estimate([path]) and producer.name != "SAM 3D Body":
+            case "refine" if holds_estimated_bodies([path]) and producer.name != "SAM 3D Body":
                 assert len(read_estimate(path).translation) > 0
             case "fit" if producer.holds == "2D keypoints":
                 assert not holds_points_3d(path)
@@ -82,7 +89,7 @@ def test_the_verbs_that_are_named_take_it(tmp_path, producer):
             case "fit" if producer.holds == "a film":
                 with pytest.raises(recon.FormatError, match="nobody was found"):
                     load_clip([path], FitSettings(), bundled())
-            case "fit" if not is_estimate([path]):
+            case "fit" if not holds_estimated_bodies([path]):
                 assert load_clip([path], FitSettings(frame_rate=30.0), bundled()).observations
             case _:
                 assert verb in ("info", "refine", "fit", "detect")

@@ -8,7 +8,7 @@ import pytest
 
 from recon.cli.looks import refuse_foreign_files
 from recon.core.errors import FormatError
-from recon.formats.producers import is_estimate
+from recon.formats.producers import holds_estimated_bodies
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.reading.inputs import input_checksums
 
@@ -69,7 +69,7 @@ def test_all_ways_of_saving_give_the_same_place(tmp_path):
     for name in ("list.pkl", "list.npy", "each", "all.npz"):
         path = tmp_path / name
         assert holds_points_3d(path)
-        assert not is_estimate([path])
+        assert not holds_estimated_bodies([path])
         refuse_foreign_files([path])
         found = first(path)
         assert np.isnan(found[10]).all()
