@@ -226,9 +226,7 @@ def complete(
 
 
 def _hold_estimated_bodies(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import (
-        holds_estimated_bodies,
-    )  # imported only when files are given
+    from recon.formats.producers import holds_estimated_bodies  # only where files are given
 
     return holds_estimated_bodies(paths)
 
