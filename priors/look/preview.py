@@ -145,9 +145,9 @@ def seen_points(
     if len(named) < len(observations):
         kinds = ", ".join(sorted({one.kind for one in observations}))
         raise ObservationError(
-            "the method look sees named points in space (joints, markers, 3D keypoints, or "
-            f"keypoints of several views that share a clock and are calibrated), got {kinds}; "
-            "leave the method out to fit them, or give such points alone"
+            "the method `look` takes named points in space alone (joints, markers, 3D keypoints, "
+            f"or keypoints of calibrated views that share a clock), got {kinds}; "
+            "fit all of them without a method, or give only named points"
         )
     if not any(bool(one.shown.any()) for one in named):
         raise ObservationError("the method look: expected visible points, but none is visible")

@@ -139,7 +139,7 @@ def interpolated_poses(
 
 
 def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | Poses) -> Motion:
-    """Return the motion with the poses of the frames with given numbers replaced."""
+    """Return a copy of the motion with new poses in the given frames."""
     return motion.replace(
         translation=motion.translation.index_copy(0, frames, poses.translation),
         rotations=motion.rotations.index_copy(0, frames, poses.rotations),
