@@ -59,7 +59,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
         own = sum(float(misfit[ends][ends[1]]) for ends in touched)
-        if own <= max(best, _MIN_LENGTH_SAVED_M):  # no exchange lowers the cost further
+        if own <= max(best, _MIN_LENGTH_SAVED_M):  # even all of it would save too little
             continue
         new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
         if own - new > max(best, _MIN_LENGTH_SAVED_M) and new < _MAX_REMAINING_SHARE * own:

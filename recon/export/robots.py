@@ -56,7 +56,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _amass_arrays(moved, target, _SMPLX_JOINTS, gender)
-    others = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw and eyes stay at rest
+    others = arrays["poses"][:, 3 * len(JOINTS) :]  # after the body's; jaw and eyes stay at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),

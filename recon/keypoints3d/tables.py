@@ -138,8 +138,8 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
         spot = positions[frame, place[label]]
         if np.isfinite(spot).any():
             raise FormatError(
-                f"{name}: frame {frames[k]:.0f} has {label!r} twice; expected one person and one "
-                "model in the table: write the rows of one of them to a file of its own"
+                f"{name}: frame {frames[k]:.0f} has {label!r} twice; expected the points of "
+                "one person by one detector: write these rows to a file of their own"
             )
         spot[:] = values[k]
     times = _numbers_of_column(rows, header, _TIME, name)

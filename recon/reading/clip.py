@@ -172,7 +172,7 @@ def _labelled_points(
 def _sensor_of_points(
     file: PositionsFile, path: str | Path, body: BodyModel, settings: FitSettings
 ) -> tuple[Sensor, Sequence[str]]:
-    """Make a sensor of points in metres with z up; return it with notes on reading."""
+    """Make a sensor of points in metres, z up; return it with what was assumed in reading."""
     found = positions_of(file, path, body, up="z", hand="right", robust=settings.robust)
     return found, file.decisions
 
