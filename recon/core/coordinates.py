@@ -192,8 +192,8 @@ def notes_on_missing_path(
         path: of the body, in any unit.
         rotations: of its joints.
     """
-    moves = len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT
-    if moves or np.ptp(rotations, axis=0).max() < _BENDS:
+    single_or_moves = len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT
+    if single_or_moves or np.ptp(rotations, axis=0).max() < _BENDS:
         return ""
     return (
         "the translation is the same in every frame though the body moves: the file holds poses "
@@ -279,7 +279,7 @@ def inferred_up(
     try:
         up, reason = decide_up(rise, hinted, name)
     except UnitsError:
-        if floor := None if rise is None else axis_of_floor(rise, positions, visible):
+        if rise is not None and (floor := axis_of_floor(rise, positions, visible)):
             return floor
         raise
     if hinted is None or hinted == up or hinted[0] != up[0]:

@@ -38,7 +38,8 @@ _BONES = tuple(
 _MIN_BONES = 6
 """Bones a person must show in both readings to have a say."""
 _CONFIDENT = 0.3
-_PERCENT = 12.0  # median from which confidences are per cent: raw scores get to 10
+_PERCENT = 12.0
+"""Median above which confidences are in per cent; scores that are not normalised get to 10."""
 _SHORTER = 0.75
 """The right reading has bones at most this much of the length of the wrong one's."""
 _AGREEMENT = 0.8

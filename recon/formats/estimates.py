@@ -26,6 +26,7 @@ from recon.core.units import Up, to_z_up
 from recon.formats.json_files import frame_numbers
 from recon.formats.opening import existing_file, load_arrays
 from recon.formats.pickles import check_tree, read_tree
+from recon.formats.scan_times import common_step
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
 _ROOT = ("global_orient", "root_orient", "poses_root")
@@ -253,7 +254,7 @@ def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
     names, numbers = np.unique([str(one) for one in columns[key]], return_inverse=True)
     with suppress(FormatError):  # names without numbers are in the order of the alphabet
         numbers = np.array(frame_numbers(names.tolist(), key))[numbers]
-    return key, numbers // max(1, np.gcd.reduce(np.diff(np.sort(numbers)), initial=0))
+    return key, numbers // common_step(numbers)
 
 
 def _person_index(

@@ -14,6 +14,8 @@ from recon.core.limits import FRAME_RATE, TIME
 from recon.formats.json_files import frame_numbers
 from recon.formats.texts import decoded_text, read_bytes
 
+MAX_OFF_FRAMES = 0.25
+"""Part of a frame by which a time may be off a whole one, as times rounded to milliseconds are."""
 _EVEN_FRAMES = 0.2
 """Greatest distance of scan times from an even clock, in frames of the clock."""
 _EVEN_SECONDS = 0.007
@@ -33,10 +35,16 @@ def whole_steps(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] |
 
     A quarter of a frame may be missing to a whole number.
     """
-    steps = np.diff(times, prepend=times[:1])
-    ratio = steps[1:] / max(float(np.median(steps[1:])) if len(steps) > 1 else 0.0, 1e-300)
-    fits = (np.abs(ratio - np.rint(ratio)) <= 0.25).all() and (np.rint(ratio) >= 1).all()
-    return np.concatenate(([0], np.cumsum(np.rint(ratio)))).astype(np.int64) if fits else None
+    steps = np.diff(times)
+    ratio = steps / max(float(np.median(steps)), 1e-300) if len(steps) > 0 else steps
+    whole = np.rint(ratio)
+    fits = (np.abs(ratio - whole) <= MAX_OFF_FRAMES).all() and (whole >= 1).all()
+    return np.concatenate(([0], np.cumsum(whole))).astype(np.int64) if fits else None
+
+
+def common_step(numbers: Int[np.ndarray, " numbers"]) -> int:
+    """Return the greatest common divisor of all differences of numbers; 1 if all are equal."""
+    return max(int(np.gcd.reduce(numbers - numbers[:1])), 1)
 
 
 def consecutive_numbers(
@@ -47,7 +55,7 @@ def consecutive_numbers(
     So 10, 12, 14, 18 become 0, 1, 2, 4, and the sentence that is returned besides says so.
     """
     ticks = np.minimum(numbers, 2.0**62).astype(np.int64)
-    step = max(int(np.gcd.reduce(ticks - ticks[:1])), 1)
+    step = common_step(ticks)
     said = (
         f"frame numbers that step by {step} are taken as consecutive frames of the frame rate: "
         "give the rate of these, not that of a film between them"
@@ -264,9 +272,12 @@ def compact_clock(
     if fits_memory(int(numbers[-1]) + 1, len(numbers)):
         FRAME_RATE.check(fps, path, "fps")
         return PointClock(frame, fps, start_time)
-    ticks = numbers - numbers[0]
-    step = max(int(np.gcd.reduce(ticks)), 1)
-    ticks, rate, start = ticks // step, fps / step, start_time + float(numbers[0]) / fps
+    step = common_step(numbers)
+    ticks, rate, start = (
+        (numbers - numbers[0]) // step,
+        fps / step,
+        start_time + float(numbers[0]) / fps,
+    )
     if not fits_memory(int(ticks[-1]) + 1, len(ticks)):
         ticks, rate, _ = frame_numbers_of_times(ticks / rate, path)
     FRAME_RATE.check(rate, path, "fps and frame")

@@ -141,10 +141,8 @@ def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
     ]
     best = {joint: k for *_, k, joint in sorted(known, reverse=True)}
     for side, joint in product(SIDES, ("hip", "knee", "shoulder", "elbow")):
-        if (
-            joint in labels[best.get(f"{side}_{joint}", 0)].lower()
-            or f"{side}_{joint}" not in best
-        ):
+        place = best.get(f"{side}_{joint}")
+        if place is None or joint in labels[place].lower():
             return {}
     # the foot comes first, as a bone called foot is the ankle if there are no toes
     joints = sorted(best, key=lambda one: not one.endswith("foot"))

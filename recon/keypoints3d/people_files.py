@@ -4,7 +4,7 @@ Each program has a function that takes the record of one frame and returns the p
 None if another program wrote the record.
 """
 
-from collections import ChainMap, Counter
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -127,14 +127,17 @@ def _joined_tracks(
                 if 0 < start - (last := next(reversed(one))) <= _LOST]  # fmt: skip
         near = [(body_distance(end, pose), k) for k, end in ends if end.shape == pose.shape]
         away, k = min(near, default=(np.inf, 0))
-        k = k if away < APART else len(out)
-        out[k : k + 1] = [dict(ChainMap(track, *out[k : k + 1]))]
+        if away < APART:
+            out[k] |= track
+        else:
+            out.append(dict(track))
     told = f"{len(tracks)} numbers of people are those of {len(out)}: some go on where others end"
     joined = len(out) < len(tracks)
     return sorted(out, key=len, reverse=True), (*said, told) if joined else said
 
 
-_LOST = 15  # frames at most, after which a pose under another number may be the same person's
+_LOST = 15
+"""Most frames after the end of a track at which another may continue it."""
 
 
 def listed_in_time(value: Any, name: str) -> Frames:

@@ -15,6 +15,7 @@ from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
 from recon.formats.replacing import write_text
+from recon.formats.scan_times import MAX_OFF_FRAMES
 from recon.formats.text_tables import (
     numbers_of_columns,
     read_rows,
@@ -155,8 +156,6 @@ def _recording_in_metres(
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
 
 
-_FRACTION = 0.25
-"""Part of a frame by which a time may be off, as times rounded to milliseconds are."""
 _HEADER = 5
 """Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""
 _POSE2SIM = {f"{side}{joint}" for side in "LR" for joint in ("Hip", "Knee", "Ankle")}
@@ -290,11 +289,11 @@ def _with_frames_of_times(
     for unit, per_second in {"s": 1.0, "ms": 1e3, "microseconds": 1e6, "frames": fps}.items():
         frames = (times - times[0]) * (fps / per_second)
         index = np.rint(frames)
-        if abs(step * fps / per_second - 1) > _FRACTION:
+        if abs(step * fps / per_second - 1) > MAX_OFF_FRAMES:
             continue
         if unit != "s":
             notes += (f"times are in {unit}, by their steps of {step:g} and the frame rate",)
-        if (np.abs(frames - index) <= _FRACTION).all() and (np.diff(index) >= 1).all():
+        if (np.abs(frames - index) <= MAX_OFF_FRAMES).all() and (np.diff(index) >= 1).all():
             values, missing = with_missing_frames(values, index, name)
             notes += missing
         return values, times / per_second, notes

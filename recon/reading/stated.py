@@ -14,7 +14,7 @@ from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
 from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, undistorted_pixels
 from recon.formats.producers import is_film
-from recon.formats.scan_times import fits_memory
+from recon.formats.scan_times import common_step, fits_memory
 
 if TYPE_CHECKING:
     from recon.films.turning import CameraMotion
@@ -113,7 +113,7 @@ def frame_range(found: Sequence[Detections]) -> tuple[int, int]:
 def note_of_steps(found: Sequence[Detections]) -> tuple[str, ...]:
     """Say that frames between evenly stepping frame numbers are unseen, where there are some."""
     numbers = np.unique(np.concatenate([one.frame_numbers for one in found]))
-    step = int(np.gcd.reduce(numbers - numbers[0]))
+    step = common_step(numbers)
     said = (
         f"frame numbers step by {step}: frames between them are unseen, and the frame rate is "
         "that of all frames. If it is that of the files, number these one by one"
