@@ -115,7 +115,7 @@ def refine(
 
 def _is_keypoints(path: Path) -> bool:
     """Whether an estimate's file holds 3D keypoints; raise an error if it holds no motion."""
-    from recon.formats.producers import holds_sam3d_body, refuse_others
+    from recon.formats.producers import holds_sam3d_body, refuse_unsupported
 
-    refuse_others(path, "refine")
+    refuse_unsupported(path, "refine")
     return holds_sam3d_body(path)

@@ -51,10 +51,10 @@ def refuse_foreign_files(paths: Sequence[Path]) -> None:
         ValueError: says what was seen and what would fit.
     """
     from recon.core.errors import FormatError
-    from recon.formats.producers import producer_of, refuse_others
+    from recon.formats.producers import producer_of, refuse_unsupported
 
     for path in paths:
-        refuse_others(path, "fit")
+        refuse_unsupported(path, "fit")
         if not path.is_file():
             continue
         with path.open("rb") as file:
@@ -105,10 +105,10 @@ def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> No
     Raises:
         ValueError: says what was seen, and which mapping file to write.
     """
-    from recon.formats.producers import refuse_others
+    from recon.formats.producers import refuse_unsupported
     from recon.mocap.reader import refuse_unknown_skeleton
 
-    refuse_others(path, "convert")
+    refuse_unsupported(path, "convert")
     refuse_unknown_skeleton(path)
     if up is None:
         refuse_unknown_markers([path], None, unit)

@@ -162,8 +162,8 @@ def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], 
         found = [pair for one in files for pair in _read_cameras(one, level=level)[0].items()]
         if len(dict(found)) < len(found):
             raise FormatError(
-                f"{path}: expected different names of cameras in all files, got one twice; rename "
-                "it"
+                f"{path}: expected different names of cameras in all files, got "
+                f"{', '.join(name for name, _ in found)}; rename those that occur twice"
             )
         return dict(found), ()
     existing_file(path)

@@ -115,14 +115,14 @@ def checked_camera(
     )
 
 
-def _float_array(value: Any, what: str, where: str) -> np.ndarray:
+def _float_array(value: Any, quantity: str, where: str) -> np.ndarray:
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         shown = repr(value)[:80]
-        raise FormatError(f"{where}: expected numbers in the {what}, got {shown}") from error
+        raise FormatError(f"{where}: expected numbers in the {quantity}, got {shown}") from error
     if not np.isfinite(numbers).all():
-        raise FormatError(f"{where}: the {what} holds NaN or infinity")
+        raise FormatError(f"{where}: the {quantity} holds NaN or infinity")
     return numbers
 
 
@@ -161,7 +161,7 @@ def _checked_poses(fields: CameraFields, where: str) -> np.ndarray | None:
         pose = _float_array(fields.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose
         if pose.ndim != 3 or pose.shape[1:] not in ((3, 4), (4, 4)) or len(pose) == 0:
-            raise FormatError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
+            raise FormatError(f"{where}: expected poses 3 x 4 or 4 x 4, got {pose.shape}")
         rotation, translation = pose[:, :3, :3], pose[:, :3, 3]
     elif fields.rotation is None and fields.translation is None:
         return None
@@ -189,7 +189,7 @@ def _checked_poses(fields: CameraFields, where: str) -> np.ndarray | None:
 
 
 def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"] | None:
-    """Return factors (x, y) that scale pixels in images of `size` to `other`; None if unrelated.
+    """Return the scale (x, y) from images of `size` to `other`; None if they are no scaled copies.
 
     Images of one aspect ratio are copies in another resolution. Where sides differ by less than a
     codec's block, the larger images were padded to whole blocks at the right and below: no pixel

@@ -47,7 +47,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     if size is not None and (width, height) != size:
         raise FormatError(
             f"{path}: the camera has images of {size[0]} x {size[1]}, this one is {width} x "
-            f"{height} pixels; give its own intrinsics"
+            f"{height} pixels; give intrinsics of this size"
         )
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -101,7 +101,7 @@ def read_depth_images(
     """
     folder = Path(folder)
     paths = _png_files(folder)
-    shapes = None if masks is None else _masks_of_images(paths, Path(masks))
+    mask_paths = None if masks is None else _masks_of_images(paths, Path(masks))
     FRAME_RATE.check(fps, folder, "frame rate")
     DEPTH_SCALE.check(depth_scale, folder, "--depth-scale")
     generator = np.random.default_rng(seed)
@@ -118,12 +118,12 @@ def read_depth_images(
         saturated.append(bool((image == _SATURATED).any()))
         depth = np.where(image == _SATURATED, 0, image) * depth_scale
         seen = (depth > 0) & ~edge_mask(depth)
-        if shapes is None:
+        if mask_paths is None:
             return depth, seen
-        mask = read_mask(shapes[k])
+        mask = read_mask(mask_paths[k])
         if mask.shape != depth.shape:
             raise FormatError(
-                f"{shapes[k]}: expected a mask of the depth's size {depth.shape}, got {mask.shape}"
+                f"{mask_paths[k]}: expected a mask of image size {depth.shape}, got {mask.shape}"
             )
         return depth, seen & mask
 
@@ -176,8 +176,8 @@ def edge_mask(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "hei
     """Return a mask of pixels whose neighbour is farther or nearer by more than 0.15 m."""
     edge = np.zeros(depth.shape, np.bool_)
     for axis in (0, 1):
-        a, b = (np.moveaxis(depth, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
-        jump = (np.abs(a - b) > _EDGE) & (a > 0) & (b > 0)
+        pixels, neighbours = (np.moveaxis(depth, axis, 0)[k] for k in (np.s_[:-1], np.s_[1:]))
+        jump = (np.abs(pixels - neighbours) > _EDGE) & (pixels > 0) & (neighbours > 0)
         edges = np.moveaxis(edge, axis, 0)
         edges[:-1] |= jump
         edges[1:] |= jump

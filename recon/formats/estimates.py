@@ -25,7 +25,7 @@ from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Up, to_z_up
 from recon.formats.json_files import frame_numbers
 from recon.formats.opening import existing_file, load_arrays
-from recon.formats.pickles import check_tree, read_tree
+from recon.formats.pickles import check_tree_limits, read_tree
 from recon.formats.scan_times import common_step
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
@@ -95,7 +95,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         raise FormatError(
             f"{path}: expected rotations and a translation of a SMPL-like body for every frame "
             "(global_orient, body_pose and transl; root_orient, pose_body and trans; or poses and "
-            f"trans), got {_names_of_people(tree)}"
+            f"trans), got {_first_keys(tree)}"
         )
     number, notes = _person_index(path, people, person)
     where, arrays = people[number]
@@ -103,7 +103,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations_of_joints(path, arrays)
     translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ scales the body and its path by this
+    if "smpl_scaling" in arrays:  # AIST++ enlarges body and path by this factor
         translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
@@ -146,7 +146,7 @@ def _read_tree(path: Path) -> Tree:
         if is_zipfile(path):
             with ZipFile(path) as archive:
                 packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
-            if packed:  # compressed members could unpack to any size
+            if packed:  # a compressed file in the archive could unpack to any size
                 raise ValueError(
                     f"{packed[0].filename} is compressed, and torch.save compresses nothing"
                 )
@@ -159,12 +159,12 @@ def _read_tree(path: Path) -> Tree:
         raise FormatError(
             f"{path}: expected a dictionary of tensors, got {type(content).__name__}"
         )
-    check_tree(content, path)
+    check_tree_limits(content, path)
     return content
 
 
 def _records_by_person(tree: Tree) -> Tree:
-    """Regroup PHALP's (4D-Humans) records of images as records of people; keep other files."""
+    """Regroup PHALP's (4D-Humans) records of images by person; return other trees unchanged."""
     images = list(tree.values())
     if not images or not all(
         isinstance(one, dict) and {"tid", "smpl"} <= set(one) for one in images
@@ -183,16 +183,16 @@ def _records_by_person(tree: Tree) -> Tree:
 
 
 def _dictionaries_of_bodies(
-    tree: Tree, where: tuple[Any, ...]
+    tree: Tree, keys: tuple[Any, ...]
 ) -> Iterator[tuple[tuple[Any, ...], Tree]]:
     """Find all nested dictionaries with per-frame body parameters, each with its path of keys."""
     names = {key for key in tree if isinstance(key, str)}
-    turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
-    if turned and names & set(_PLACE):
-        yield from ((where, one) for one in _people_of_arrays(tree))
+    has_rotations = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
+    if has_rotations and names & set(_PLACE):
+        yield from ((keys, one) for one in _people_of_arrays(tree))
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            yield from _dictionaries_of_bodies(value, (*where, key))
+            yield from _dictionaries_of_bodies(value, (*keys, key))
 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
@@ -216,13 +216,13 @@ def _people_of_rows(arrays: Tree, count: int) -> Iterator[Tree]:
     the rows, all rows are one person's.
     """
     columns = {key: _numeric_array(arrays[key]) for key in (*_IDS, *_IMAGES) if key in arrays}
-    whose = [
+    labels = [
         [str(Path(str(one)).parent) if key in _IMAGES else str(one) for one in column.ravel()]
         for key, column in columns.items()
         if column.size == count
     ]
     rows: dict[tuple[str, ...], list[int]] = {}
-    for row, who in enumerate(zip(*whose, strict=True)):
+    for row, who in enumerate(zip(*labels, strict=True)):
         rows.setdefault(who, []).append(row)
     if not 0 < len(rows) < count:
         yield arrays
@@ -238,7 +238,7 @@ def _people_of_rows(arrays: Tree, count: int) -> Iterator[Tree]:
 
 
 def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
-    """Return the column of frames and its name; None without one.
+    """Return name and values of the column that numbers the frames; None if there is none.
 
     Names of images count by their last numbers, in steps of the greatest number that divides all
     differences: those of a clip of which each fifth image was taken are one frame apart.
@@ -252,7 +252,7 @@ def _frame_numbers(arrays: Tree, count: int) -> tuple[str, np.ndarray] | None:
     if key is None:
         return None
     names, numbers = np.unique([str(one) for one in columns[key]], return_inverse=True)
-    with suppress(FormatError):  # names without numbers are in the order of the alphabet
+    with suppress(FormatError):  # names without numbers stay in alphabetical order
         numbers = np.array(frame_numbers(names.tolist(), key))[numbers]
     return key, numbers // common_step(numbers)
 
@@ -282,7 +282,7 @@ def _rotations_of_joints(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22
         ]
         if len(parts[0]) != len(parts[1]):
             raise FormatError(
-                f"{path}: expected as many frames of the root's rotation as of the others', got "
+                f"{path}: expected as many frames of the root's rotation as of the body's, got "
                 f"{len(parts[0])} and {len(parts[1])}"
             )
         turns = np.concatenate(parts, 1)
@@ -347,7 +347,7 @@ def _filled_frames(
     translation: np.ndarray,
     has_person: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Order by frames, and fill those without the person from the one before; return the mask."""
+    """Sort by frame; repeat the frame before where the person is missing; also return the mask."""
     frames = np.arange(len(has_person))
     column = _frame_numbers(arrays, len(has_person))
     if column is not None:
@@ -370,7 +370,7 @@ def _filled_frames(
 
 
 def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
-    """Find the up axis, along which the pelvis' y axis (it points to the head) lies on average."""
+    """Find the axis that points up: the one along the pelvis' mean y axis, toward the head."""
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:
         if mean @ to_z_up(given)[2] < -_UPRIGHT:
@@ -387,6 +387,6 @@ def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list
     return up
 
 
-def _names_of_people(tree: Tree) -> str:
+def _first_keys(tree: Tree) -> str:
     names = [str(key) for key in tree]
     return ", ".join(names[:12]) + (" ..." if len(names) > 12 else "") or "nothing"

@@ -53,7 +53,7 @@ def parsed_json(path: Path, data: bytes) -> Any:
 
 def _check_sizes(parts: Sequence[bytes], source: Path) -> None:
     """Refuse JSON whose parsed contents would not fit into memory."""
-    # Python needs two to four bytes per character of a text that is not ASCII
+    # text that is not ASCII usually takes two bytes per character in Python's memory
     JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in parts), source)
     sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
     _ENTRIES.check(sum(size * one.count(mark) for one in parts for mark, size in sizes), source)
@@ -66,17 +66,17 @@ def _parsed(path: Path, data: bytes) -> Any:
     try:
         return json.loads(decoded_text(data))
     except (RecursionError, ValueError) as error:
-        # ValueError itself is raised by an integer with too many digits for Python
+        # an error whose text names the file needs no other
         if str(path) in str(error):
             raise
         broken = error if isinstance(error, json.JSONDecodeError) else None
         lines = broken and broken.msg == "Extra data" and broken.doc[broken.pos] in "[{"
-        wrong = (
+        content = (
             "one value, but several follow each other: save each in its own file, or all in a list"
             if lines
             else "JSON, but it is damaged"
         )
-        raise FormatError(f"{path}: expected {wrong} ({error})") from error
+        raise FormatError(f"{path}: expected {content} ({error})") from error
     finally:
         if collects:
             gc.enable()
@@ -144,7 +144,7 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
         raise FormatError(
             f"{name}: expected each frame as an object or a list, got {strange[0]!r:.40}"
         )
-    stated = [_stated_number(entry) for entry in entries]
+    stated = [_stated_frame_number(entry) for entry in entries]
     if all(number is None for number in stated):
         return list(enumerate(entries))
     numbers = [number for number in stated if number is not None]
@@ -154,7 +154,7 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     return sorted(zip(numbers, entries, strict=True), key=lambda pair: pair[0])
 
 
-def _stated_number(entry: Any) -> int | None:
+def _stated_frame_number(entry: Any) -> int | None:
     if isinstance(entry, dict):
         for key in _NUMBER_KEYS:
             if isinstance(entry.get(key), int) and entry[key] >= 0:

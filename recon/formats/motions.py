@@ -113,7 +113,7 @@ def motion_from(
     for key in (*known, *_RATES, *_EXTRA, *_CAMERAS):
         if key in arrays and key not in numeric:
             raise FormatError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
-    translation = _array(path, numeric, "trans", ("time", 3))
+    translation = _checked(path, numeric, "trans", ("time", 3))
     poses = _rotation_vectors(path, numeric)
     if len(poses) != len(translation) or len(poses) == 0:
         raise FormatError(
@@ -124,8 +124,8 @@ def motion_from(
     version = int(_number_or_default(path, numeric, "format_version", 0.0))
     if version > MOTION_FORMAT or version < 0:
         raise FormatError(f"{path}: written by a newer version (format {version}); update recon")
-    if (up := _text(arrays, "up_axis", "z")) != "z":
-        raise FormatError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
+    if (up := _text_or_default(arrays, "up_axis", "z")) != "z":
+        raise FormatError(f"{path}: expected a motion with z up, as in AMASS; its up axis is {up}")
     rate = next(key for key in _RATES if key in arrays)
     fps = snapped_rate(_number_or_default(path, numeric, rate, 0.0, limits.FRAME_RATE))
     motion = Motion.create(
@@ -139,9 +139,9 @@ def motion_from(
         from recon.core.fingers import hands_of_arrays  # imported only for fingers
 
         motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
-    gender = _text(arrays, "gender", "neutral").lower()
+    gender = _text_or_default(arrays, "gender", "neutral").lower()
     extra = {
-        key: _as_tensor(_array(path, numeric, key, shape, time=len(poses)), dtype)
+        key: _as_tensor(_checked(path, numeric, key, shape, time=len(poses)), dtype)
         for key, shape in _EXTRA.items()
         if key in arrays
     }
@@ -149,10 +149,10 @@ def motion_from(
     extra |= {key: extra[key] > 0.5 for key in _FLAGS if key in extra}
     return MotionFile(
         motion,
-        body=_text(arrays, "body", "") or None,
-        checksum=_text(arrays, "body_checksum", "") or None,
+        body=_text_or_default(arrays, "body", "") or None,
+        checksum=_text_or_default(arrays, "body_checksum", "") or None,
         gender=gender if gender in _GENDERS else "neutral",
-        cameras=_cameras(path, arrays, len(poses), dtype) if "camera_names" in arrays else (),
+        cameras=_make_cameras(path, arrays, len(poses), dtype) if "camera_names" in arrays else (),
         format_version=version,
         **extra,
     )
@@ -206,27 +206,27 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     if file.cameras:
         arrays |= _camera_arrays(file.cameras, frames)
     if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
-        raise FormatError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
+        raise FormatError(f"{path}: not written, as {', '.join(bad)} hold NaN or infinity")
     save_arrays(path, arrays)
 
 
 def _camera_arrays(cameras: "tuple[FilmingCamera, ...]", frames: int) -> dict[str, np.ndarray]:
-    """Stack cameras into the arrays of a file; if one moves, fixed ones repeat their pose."""
-    every = [one.camera for one in cameras]
-    count = max(len(one.T_camera_world) for one in every)
-    poses = [one.T_camera_world.expand(count, 4, 4)[:frames] for one in every]
-    lens = [torch.zeros(0) if one.distortion is None else one.distortion for one in every]
+    """Stack cameras into the arrays of a file; if one moves, all get a pose per frame."""
+    models = [one.camera for one in cameras]
+    count = max(len(one.T_camera_world) for one in models)
+    poses = [one.T_camera_world.expand(count, 4, 4)[:frames] for one in models]
+    lens = [torch.zeros(0) if one.distortion is None else one.distortion for one in models]
     return {
         "camera_names": np.array([one.name for one in cameras]),
-        "camera_matrix": _as_numpy(torch.stack([one.camera_matrix for one in every])),
-        "camera_size": np.array([one.image_size for one in every]),
+        "camera_matrix": _as_numpy(torch.stack([one.camera_matrix for one in models])),
+        "camera_size": np.array([one.image_size for one in models]),
         "camera_distortion": np.stack([np.pad(_as_numpy(one), (0, 8 - len(one))) for one in lens]),
         "camera_pose": _as_numpy(torch.stack(poses)),
         "camera_start": np.array([one.start_time for one in cameras]),
     }
 
 
-def _cameras(
+def _make_cameras(
     path: Path, arrays: dict[str, np.ndarray], frames: int, dtype: torch.dtype
 ) -> "tuple[FilmingCamera, ...]":
     """Build the cameras that filmed a motion from the arrays of its file.
@@ -238,9 +238,9 @@ def _cameras(
     from recon.core.motion import FilmingCamera
 
     names = np.atleast_1d(arrays["camera_names"]).astype(str).tolist()
-    if lost := [key for key in _CAMERAS if key not in arrays]:
-        raise FormatError(f"{path}: has camera_names, but lacks {', '.join(lost)}")
-    found = {key: _array(path, arrays, key, shape, frames) for key, shape in _CAMERAS.items()}
+    if missing := [key for key in _CAMERAS if key not in arrays]:
+        raise FormatError(f"{path}: has camera_names, but lacks {', '.join(missing)}")
+    found = {key: _checked(path, arrays, key, shape, frames) for key, shape in _CAMERAS.items()}
     if counts := {key: len(one) for key, one in found.items() if len(one) != len(names)}:
         raise FormatError(f"{path}: expected {len(names)} cameras in all arrays, got {counts}")
     limits.TIME.check(found["camera_start"], path, "camera_start")
@@ -334,7 +334,7 @@ def _shape_coefficients(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray
     return betas
 
 
-def _array(
+def _checked(
     path: Path,
     arrays: dict[str, np.ndarray],
     key: str,
@@ -342,7 +342,7 @@ def _array(
     time: int | None = None,
 ) -> np.ndarray:
     if key not in arrays:
-        raise FormatError(f"{path}: expected numbers in {key}")
+        raise FormatError(f"{path}: expected numbers in {key}, which is missing")
     value = arrays[key]
     if key == "T_world_camera" and value.shape == (4, 4):
         value = value[None]
@@ -380,7 +380,7 @@ def _number_or_default(
     return float(value.reshape(()))
 
 
-def _text(arrays: dict[str, np.ndarray], key: str, default: str) -> str:
+def _text_or_default(arrays: dict[str, np.ndarray], key: str, default: str) -> str:
     value = arrays.get(key, np.array(default))
     if value.size != 1 or value.dtype.kind not in "US":
         return default

@@ -46,7 +46,7 @@ class Output:
         return self.kind in (OutputKind.FOLDER, OutputKind.CONTINUED)
 
     @property
-    def folder_of_names(self) -> Path:
+    def base_folder(self) -> Path:
         """The folder to which file names in the report are relative."""
         return self.real_path if self.is_folder else self.real_path.parent
 
@@ -110,9 +110,9 @@ def refuse_outputs_over_inputs(output: Output, inputs: Iterable[Path]) -> None:
         real = Path(os.path.realpath(given))
         for place in output.places:
             if _same_file(place, real):
-                what = output.path if place == output.real_path else place
+                written = output.path if place == output.real_path else place
                 raise ValueError(
-                    f"{what} is the input {given}, which would be lost; write somewhere else"
+                    f"{written} is the input {given}, which would be lost; write somewhere else"
                 )
         # a symbolic link lies in two folders: its own and that of its target
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
@@ -135,7 +135,7 @@ def refuse_unwritable(output: Output) -> None:
     real = output.real_path
     for place in output.places:
         if place.is_symlink():  # realpath resolves all links but circular ones
-            raise OSError(f"{output.path}: its links lead in a circle; give another name")
+            raise OSError(f"{output.path}: its symbolic links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:
             raise ValueError(f"{place} is a folder; give the name of a file")
@@ -198,11 +198,11 @@ def checksums_of_own_files(output: Output, *, overwrite: bool) -> Mapping[str, s
 
 
 def _existing_files(output: Output) -> dict[str, Path]:
-    """Find an output's existing files, keyed by their names in the report, but no hidden ones."""
+    """Find an output's existing files, without hidden ones, keyed by their names in the report."""
     real = output.real_path
     found = sorted(real.rglob("*")) if output.is_folder else [real]
     return {
-        path.relative_to(output.folder_of_names).as_posix(): path
+        path.relative_to(output.base_folder).as_posix(): path
         for path in found
         if (path.is_file() or path.is_symlink())
         and path != output.report

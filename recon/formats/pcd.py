@@ -118,7 +118,7 @@ def _decompressed(body: bytes, expected: int) -> bytes:
         place += 1
         if back < 0 or len(out) > size:
             raise FormatError("the compressed data is damaged")
-        # a back reference may overlap the output that it makes, and so repeats a pattern
+        # the copied range may reach past the end of `out`: the part that exists then repeats
         pattern = out[back : back + length + 2]
         out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:

@@ -62,11 +62,11 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error
     if isinstance(content, dict | list | tuple):
-        check_tree(content, path)
+        check_tree_limits(content, path)
     return content
 
 
-def array_in(value: object, name: str, path: Path) -> np.ndarray:
+def plain_array(value: object, name: str, path: Path) -> np.ndarray:
     """Convert a value of an unpickled tree to an array, also chumpy's and scipy's records.
 
     Raises:
@@ -147,13 +147,13 @@ def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin-1")
 
 
-def _empty_array(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
-    """Replacement for the function with which numpy's pickles begin an array.
+def _empty_array(kind: type, shape: tuple[int, ...], type_code: object) -> np.ndarray:
+    """Replacement for the function that makes the empty array which numpy's pickles then fill.
 
     Only size zero is allowed.
     """
     if kind is not np.ndarray or tuple(shape) != (0,):
-        raise TypeError(f"expected an array that begins empty, got {shape}, {code!r:.20}")
+        raise TypeError(f"expected an array that begins empty, got {shape}, {type_code!r:.20}")
     return np.ndarray.__new__(np.ndarray, (0,), "b")
 
 
@@ -167,7 +167,7 @@ def _safe_bytes(value: object = b"", *encoding: str) -> bytes:
 
 
 def _inert_record(kind: type, base: type, state: object) -> object:
-    """Replacement for copyreg._reconstructor that makes only inert records."""
+    """Replacement for copyreg._reconstructor that makes nothing but an `_InertObject`."""
     if not issubclass(kind, _InertObject) or base is not object:
         raise TypeError(f"expected a record without code, got one of the type {kind.__name__}")
     del state
@@ -265,14 +265,14 @@ class _JoblibUnpickler(_PythonUnpickler):
 
     def __init__(self, file: BytesIO, *, encoding: str) -> None:
         super().__init__(file, encoding=encoding)
-        self.bytes_behind = file
+        self.array_source = file
 
     find_class = _Unpickler.find_class
 
     def load_build(self) -> None:
         super().load_build()
         if isinstance(self.stack[-1], _JoblibArray):
-            self.stack[-1] = self.stack[-1].read(self.bytes_behind)
+            self.stack[-1] = self.stack[-1].read(self.array_source)
 
     dispatch: ClassVar = {**_PythonUnpickler.dispatch, pickle.BUILD[0]: load_build}
 
@@ -287,7 +287,7 @@ def _decompressed(data: bytes, path: Path) -> bytes:
     return content
 
 
-def check_tree(content: Any, path: Path) -> None:
+def check_tree_limits(content: Any, path: Path) -> None:
     """Refuse containers that are nested deeply, hold themselves, or have too many entries.
 
     A container that several others share counts for each of them, as a walk through the tree

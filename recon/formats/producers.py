@@ -1,7 +1,7 @@
 """Recognises the program that wrote a file, and names the verb that reads it.
 
 `PRODUCERS` is the table of all kinds of files that are known, also printed in the manual. Every
-verb refuses files of other kinds by `refuse_others`, with the same sentence.
+verb refuses files of other kinds by `refuse_unsupported`, with the same sentence.
 """
 
 import re
@@ -25,8 +25,8 @@ class Producer:
     form: str
     """Endings and contents of its files, as text for the manual."""
     endings: tuple[str, ...]
-    """Endings of its files; "/" is a folder, in whose file names `mark` is searched."""
-    mark: bytes
+    """Endings of its files; "/" is a folder, in whose file names `pattern` is searched."""
+    pattern: bytes
     """Regular expression that is found at the start of its files, or in the names of arrays."""
     verbs: tuple[str, ...]
     """Verbs that take it, the usual one first; `recon info` takes all that any verb does."""
@@ -287,7 +287,7 @@ PRODUCERS = (
         "Autodesk", "a scene", "`.fbx`", (".fbx",), b"", (), "export BVH, as Blender does",
     ),
 )  # fmt: skip
-"""All known kinds of files; the first whose ending and mark a file has is its kind."""
+"""All known kinds of files; the first whose ending and pattern a file has is its kind."""
 
 
 def producer_of(path: Path) -> Producer | None:
@@ -297,7 +297,7 @@ def producer_of(path: Path) -> Producer | None:
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
     listed = "\n".join(one.name for one in (*inside, *path.glob("output_data/*"))).encode()
     for one in PRODUCERS:
-        if "/" in one.endings and re.search(one.mark, listed):
+        if "/" in one.endings and re.search(one.pattern, listed):
             return one
     endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
     alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
@@ -310,14 +310,14 @@ def _producer_of_file(path: Path) -> Producer | None:
     ending, head = Path(path.name.lower().removesuffix(".xz")).suffix, None
     for one in PRODUCERS:
         if ending in one.endings:
-            head = _first_bytes(path, ending) if head is None and one.mark else head
-            if not one.mark or re.search(one.mark, head or b""):
+            head = _first_bytes(path, ending) if head is None and one.pattern else head
+            if not one.pattern or re.search(one.pattern, head or b""):
                 return one
     return None
 
 
 _HEAD = 1 << 16
-"""Number of bytes at the start of a file in which marks are searched."""
+"""Number of bytes at the start of a file in which patterns are searched."""
 _PICKLED = 1 << 22
 """Number of bytes at the start of a pickle that are searched: some keys stand behind arrays."""
 
@@ -346,7 +346,7 @@ def _arrays_of(path: Path) -> set[str]:
         return set()
 
 
-def refuse_others(path: Path, verb: str) -> None:
+def refuse_unsupported(path: Path, verb: str) -> None:
     """Refuse a file that a verb does not take, and say what it is and what to do.
 
     Raises:
@@ -363,7 +363,7 @@ def refuse_others(path: Path, verb: str) -> None:
         raise FormatError(f"{path}: {found.how_to_read()}")
     one_file = not found.folder and "/" not in found.endings
     if path.is_dir() and one_file and not (verb == "fit" and films_at(path)):
-        raise FormatError(f"{path}: give one of its files; {found.how_to_read()}")
+        raise FormatError(f"{path} is a folder: give one of its files; {found.how_to_read()}")
 
 
 def is_film(path: Path) -> bool:

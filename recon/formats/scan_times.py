@@ -30,10 +30,10 @@ _EMPTY, _SHORT = 8, 20_000
 frames take memory, too."""
 
 
-def whole_steps(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
-    """Return the frame of each time, in median steps; None where a step is no whole number.
+def frames_of_even_times(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
+    """Convert times to frame numbers, one per median step; None if a step is no multiple of it.
 
-    A quarter of a frame may be missing to a whole number.
+    A step may be off its multiple by a quarter of the median step.
     """
     steps = np.diff(times)
     ratio = steps / max(float(np.median(steps)), 1e-300) if len(steps) > 0 else steps
@@ -50,21 +50,21 @@ def common_step(numbers: Int[np.ndarray, " numbers"]) -> int:
 def consecutive_numbers(
     numbers: Sequence[int] | np.ndarray,
 ) -> tuple[Int[np.ndarray, " numbers"], tuple[str, ...]]:
-    """Count rising frame numbers from the first on, in units of their greatest common divisor.
+    """Renumber rising frame numbers from 0, dividing by the greatest common divisor of the steps.
 
     So 10, 12, 14, 18 become 0, 1, 2, 4, and the sentence that is returned besides says so.
     """
     ticks = np.minimum(numbers, 2.0**62).astype(np.int64)
     step = common_step(ticks)
-    said = (
-        f"frame numbers that step by {step} are taken as consecutive frames of the frame rate: "
-        "give the rate of these, not that of a film between them"
+    note = (
+        f"frame numbers that step by {step} are taken as consecutive frames: the frame rate is "
+        "that of these frames, not of the film that also has those between them"
     )
-    return (ticks - ticks[:1]) // step, (said,) if step > 1 else ()
+    return (ticks - ticks[:1]) // step, (note,) if step > 1 else ()
 
 
 def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[str]]:
-    """Return the frame of each file by the number or time in its name, and sentences about them.
+    """Return the frame of each file by the number or time in its name, and notes about them.
 
     Times are ticks, seconds with decimals, or seconds_nanoseconds. Files whose names do not number
     them, in rising order, are consecutive.
@@ -74,7 +74,7 @@ def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[
     times = [float(f"{m[1]}.{(m[3] or '').zfill(9 if m[2] == '_' else 1)}") for m in parts]
     try:
         found, said = (
-            (whole_steps(np.array(times)), ())
+            (frames_of_even_times(np.array(times)), ())
             if len(times) == len(files)
             else consecutive_numbers(frame_numbers(stems, files[0].parent.name))
         )

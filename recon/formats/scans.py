@@ -54,11 +54,11 @@ def vertex_count(path: Path) -> int:
             CLOUD.check(count, path, f"element {line[1][:20]}")
             vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # fewest bytes that a value takes: in text 2, a digit and a separator; in a binary file
-            # the size of its type, or for a list, which may be empty, that of its length field
+            # a list may be empty, so only its length field surely takes bytes
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
+            # in text, a value takes at least two bytes: a digit and a separator
             needed += count * (2 if text else _BYTES[kind])
     if needed > path.stat().st_size + 1:
         raise FormatError(
@@ -313,7 +313,7 @@ def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Read the points of a cloud or mesh, but no zeros, which pixels without measurement give.
+    """Read a cloud or mesh; if several points are zero (pixels without depth), leave these out.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
@@ -333,7 +333,7 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     except ValueError as error:
         raise FormatError(f"{path}: damaged OBJ file ({error!s:.100})") from error
     if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
-        raise FormatError(f"{path}: expected finite vertices, got an array {found.shape}")
+        raise FormatError(f"{path}: expected 3 finite numbers per vertex, got shape {found.shape}")
     return found
 
 

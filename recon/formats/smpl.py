@@ -14,7 +14,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.formats.opening import DAMAGE, check_sizes, existing_file
-from recon.formats.pickles import array_in, read_tree
+from recon.formats.pickles import plain_array, read_tree
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 _USED = (*_NEEDED, "posedirs")
@@ -99,7 +99,7 @@ def load_smpl(path: str | Path) -> SmplArrays:
             fields = _read_npz(path)
         case ".pkl":
             tree = read_tree(path)
-            fields = {name: array_in(tree[name], name, path) for name in _USED if name in tree}
+            fields = {name: plain_array(tree[name], name, path) for name in _USED if name in tree}
         case other:
             raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {other!r}")
     return _checked_arrays(fields, path)

@@ -47,11 +47,11 @@ def _split_cells(text: str) -> list[list[str]]:
     """
     lines = _without_comments([line for line in text.splitlines() if line.strip()])
     first = lines[0] if lines else ""
-    mark = next((one for one in ";\t|" if one in first and "," not in first), ",")
-    if mark == "," not in first and len(first.split()) >= _WORDS:
-        lines, mark = ["|".join(line.split()) for line in lines], "|"
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
-    if mark == ",":
+    separator = next((one for one in ";\t|" if one in first and "," not in first), ",")
+    if separator == "," not in first and len(first.split()) >= _WORDS:
+        lines, separator = ["|".join(line.split()) for line in lines], "|"
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
+    if separator == ",":
         return rows
     comma = _DECIMAL_COMMA.fullmatch
     return [[cell.replace(",", ".") if comma(cell) else cell for cell in row] for row in rows]
@@ -158,7 +158,7 @@ def numbers_of_columns(
 def rows_of_whole_points(
     rows: Iterable[list[str]], first: int, width: int, name: str, notes: list[str]
 ) -> Iterator[list[str]]:
-    """Yield the cells of every row up to its last coordinate, in threes from cell `first` on.
+    """Yield every row's cells up to its last whole point, of three cells from `first` on.
 
     Points at the end of a row may be left out. A last row that is shorter than all others was cut
     short: its last point, maybe cut within a number, is left out, and `notes` gets a sentence.

@@ -52,7 +52,7 @@ def decoded_text(data: bytes) -> str:
 
 
 def with_decimal_points(text: str, comma: re.Pattern[str]) -> str:
-    """Replace commas by points in a text with decimal commas (a pattern) and no decimal points."""
+    """Replace commas by points if a text has decimal commas (`comma` matches) and no points."""
     if "," not in text or re.search(r"\d\.\d", text) or not comma.search(text):
         return text
     return text.replace(",", ".")

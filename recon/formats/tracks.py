@@ -91,8 +91,8 @@ def read_tum(path: Path) -> "CameraTrack":
     times = table[:, 0]
     if len(table) < 2 or not (np.diff(times) > 0).all():
         raise FormatError(
-            f"{path}: expected two or more poses with rising timestamps, got {len(table)}, or "
-            "timestamps that do not rise"
+            f"{path}: expected two or more poses with rising timestamps, got {len(table)} "
+            "poses, or timestamps that do not rise"
         )
     frames = times.astype(np.int64) if (times == np.round(times)).all() else None
     return CameraTrack(
@@ -321,4 +321,4 @@ def _square_matrix(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows
     for one in (matrix, matrix.T):
         if np.abs(one[-1] - bottom).max() < 1e-6:
             return one
-    raise FormatError(f"{path}: expected a last row {bottom.tolist()}, got {matrix.tolist()}")
+    raise FormatError(f"{path}: expected the last row {bottom.tolist()}, got {matrix.tolist()}")

@@ -48,7 +48,7 @@ def writing(
         former = [checksums_of_own_files(output, overwrite=overwrite) for output in outputs]
         for stage, own in zip(stages, former, strict=True):
             stage.add_report(report, own)
-        with uninterrupted():
+        with delayed_signals():
             for stage in stages:
                 stage.move_report()
             for stage, own in zip(reversed(stages), reversed(former), strict=True):
@@ -122,17 +122,17 @@ class _StagedOutput:
             return
         files = self.temporary_files()
         for name, path in files.items():
-            place = self.output.folder_of_names / name
+            place = self.output.base_folder / name
             place.parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, place)
         for name in former.keys() - files.keys():
-            (self.output.folder_of_names / name).unlink(missing_ok=True)
+            (self.output.base_folder / name).unlink(missing_ok=True)
 
 
 @contextmanager
 def _staged_output(output: Output) -> Iterator[_StagedOutput]:
     real = output.real_path
-    # an existing folder may be a mount point, which cannot be replaced
+    # staged inside an existing folder, which may be a mount point that cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
     stage = _StagedOutput(output, temporary_path(beside))
@@ -159,7 +159,7 @@ def _errors_name_output(stages: Sequence[_StagedOutput]) -> Iterator[None]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def delayed_signals() -> Iterator[None]:
     """Context that delays Ctrl-C and termination signals until its block is done."""
     if threading.current_thread() is not threading.main_thread():
         yield

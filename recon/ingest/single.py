@@ -6,7 +6,7 @@ from pathlib import Path
 from recon.body.model import BodyModel
 from recon.core.arrays import usable_frame_rate
 from recon.core.units import Hand, Up
-from recon.formats.producers import refuse_others
+from recon.formats.producers import refuse_unsupported
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise, right_handed_skeleton
 from recon.ingest.marker_conversion import convert_markers
@@ -49,7 +49,7 @@ def convert(
     if fps is not None:
         usable_frame_rate(fps, "fps")
     if isinstance(recording, (str, Path)):
-        refuse_others(Path(recording), "convert")
+        refuse_unsupported(Path(recording), "convert")
         recording = read_recording(recording, unit=unit, up=up)
     body = BodyModel.load() if body is None else body
     if isinstance(recording, MarkerRecording):

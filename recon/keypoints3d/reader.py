@@ -22,8 +22,8 @@ from recon.keypoints3d.layouts import named_by_count
 from recon.keypoints3d.people_files import read_ntu_skeleton, read_people
 from recon.keypoints3d.records import Points3D
 from recon.keypoints3d.tables import (
-    holds_points,
     is_table_3d,
+    key_of_points,
     read_array,
     read_arrays,
     read_table,
@@ -120,7 +120,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         arrays = load_arrays(path)
         # the `joints` of a motion file are results, not observations
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
-        return not others and holds_points(arrays) is not None
+        return not others and key_of_points(arrays) is not None
     if ending in _TABLES and path.is_file() and not holds_labelled_points(path):
         return is_table_3d(first_rows(path))
     if found is None or found.holds != POINTS_3D:
@@ -189,7 +189,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     """
     found = read_recording(path, unit=unit, up=up)
     if not isinstance(found, MarkerRecording):
-        raise FormatError(f"{path}: expected labelled points, got a skeleton; `recon convert` it")
+        raise FormatError(f"{path}: expected points, got a skeleton; use `recon convert`")
     return found
 
 
@@ -221,10 +221,10 @@ def opencap_markers(recording: MarkerRecording) -> PositionsFile | None:
 
     Centres of hip joints among them are no markers and are left out.
     """
-    study = [name for name in recording.marker_names if name.endswith(STUDY)]
-    if len(study) < len(recording.marker_names):
+    computed = [name for name in recording.marker_names if name.endswith(STUDY)]
+    if len(computed) < len(recording.marker_names):
         return None
-    skin = [name for name in study if "HJC" not in name]
+    skin = [name for name in computed if "HJC" not in name]
     recording = recording.select(skin)
     return PositionsFile(
         kind="markers3d",

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, FRAMES, JOINTS
 from recon.core.units import snapped_rate
-from recon.formats.scan_times import whole_steps
+from recon.formats.scan_times import frames_of_even_times
 from recon.formats.text_tables import with_missing_frames
 
 _LARGEST = 1e7
@@ -42,8 +42,8 @@ class Points3D:
         """The points with the frame rate that the file states, if any."""
         if fps is None:
             return self
-        said = f"{fps:g} frames per second: stated by the file"
-        return replace(self, fps=fps, decisions=(*self.decisions, said))
+        note = f"{fps:g} frames per second: stated by the file"
+        return replace(self, fps=fps, decisions=(*self.decisions, note))
 
     def with_rate_of_times(
         self, times: np.ndarray | None, source: str | None = None
@@ -72,7 +72,7 @@ class Points3D:
             )
         middle, span = float(np.median(steps)), float(times[-1] - times[0])
         even = np.abs(steps - middle).max() <= middle / 2
-        clock = None if even or len(times) != len(self.positions) else whole_steps(times)
+        clock = None if even or len(times) != len(self.positions) else frames_of_even_times(times)
         count = len(steps) if clock is None else int(clock[-1])
         fps, unit = snapped_rate(count / span) if span > 0 else 0.0, 1.0
         if 0 < fps < _USUAL_RATES[0]:

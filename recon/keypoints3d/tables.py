@@ -139,7 +139,7 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
         if np.isfinite(spot).any():
             raise FormatError(
                 f"{name}: frame {frames[k]:.0f} has {label!r} twice; expected the points of "
-                "one person by one detector: write these rows to a file of their own"
+                "one person by one detector: write the rows of others to other files"
             )
         spot[:] = values[k]
     times = _numbers_of_column(rows, header, _TIME, name)
@@ -164,7 +164,7 @@ def _refuse_several_people(rows: list[list[str]], header: list[str], name: str) 
 def _numbers_of_column(
     rows: list[list[str]], header: list[str], words: Sequence[str], name: str
 ) -> np.ndarray | None:
-    """Return the numbers of the column that the first of some words names, or None.
+    """Return the numbers of the column that the first known of `words` names; None if none does.
 
     The name may end in a unit of time, and its case does not matter. Times of day and dates become
     seconds.
@@ -221,7 +221,7 @@ def read_array(path: Path) -> Points3D:
     return Points3D(path.name, found)
 
 
-def holds_points(arrays: dict[str, np.ndarray]) -> str | None:
+def key_of_points(arrays: dict[str, np.ndarray]) -> str | None:
     """The key of the only array of shape (frames, points, 3) of a file, or None."""
     keys = [key for key, value in arrays.items() if as_points(value) is not None]
     return keys[0] if len(keys) == 1 else None
@@ -237,7 +237,7 @@ def read_arrays(path: Path) -> Points3D:
         ValueError: when it is damaged, or holds none or several such arrays.
     """
     arrays = load_arrays(path) if path.suffix.lower() == ".npz" else _arrays_in_tree(path)
-    key = holds_points(arrays)
+    key = key_of_points(arrays)
     found = None if key is None else as_points(arrays[key])
     if found is None:
         shapes = ", ".join(f"{name} {value.shape}" for name, value in sorted(arrays.items()))

@@ -21,7 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.opening import files_of
-from recon.formats.producers import BODIES, is_film, producer_of, refuse_others
+from recon.formats.producers import BODIES, is_film, producer_of, refuse_unsupported
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -116,7 +116,7 @@ def _read_path(
         return seen, ()
     if is_film(path):
         return None
-    refuse_others(path, "fit")
+    refuse_unsupported(path, "fit")
     if path.is_file() and holds_labelled_points(path):
         return _labelled_points(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):

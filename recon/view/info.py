@@ -28,7 +28,7 @@ from recon.formats.observations import (
 )
 from recon.formats.opening import existing_file, load_arrays
 from recon.formats.pickles import read_tree
-from recon.formats.producers import producer_of, refuse_others
+from recon.formats.producers import producer_of, refuse_unsupported
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
@@ -75,7 +75,7 @@ def info(
     """
     if not file.exists():
         raise FileNotFoundError(f"{file}: no such file")
-    refuse_others(file, "info")
+    refuse_unsupported(file, "info")
     found = producer_of(file)
     verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
     told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}

@@ -25,7 +25,7 @@ from recon.formats.producers import (
     producer_of,
 )
 from recon.formats.scans import read_scans
-from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.labels import keypoints_of_labels
 from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.reader import read_recording
@@ -133,7 +133,7 @@ def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, me
     (seen,) = load_clip([path], FitSettings(frame_rate=30.0, unit=unit), bundled()).observations
     assert isinstance(seen, Keypoints3D)
     truth = points(layout) if isinstance(layout, str) else of_labels(layout)
-    names = keypoint_names(layout) if isinstance(layout, str) else meant_keypoints(layout)
+    names = keypoint_names(layout) if isinstance(layout, str) else keypoints_of_labels(layout)
     rows = [names.index(one) for one in seen.point_names(bundled())]
     found, visible = seen.positions[0].numpy(), seen.visible[0].numpy()
     if name == "OpenPose":  # in its camera
@@ -236,5 +236,5 @@ HOSTILE = (
 def test_files_are_looked_at_in_a_time_that_grows_with_their_size(head):
     begun = time.perf_counter()
     for producer in PRODUCERS:
-        re.search(producer.mark, head)
+        re.search(producer.pattern, head)
     assert time.perf_counter() - begun < 2.0

@@ -13,7 +13,7 @@ import pytest
 
 from recon.formats.outputs import Output, OutputKind, check_outputs
 from recon.formats.reports import read_report
-from recon.formats.writing import uninterrupted, write_report, writing, writing_file
+from recon.formats.writing import delayed_signals, write_report, writing, writing_file
 
 REPORT = {"settings": {"seed": 1, "at": float("nan"), "where": Path("a")}}
 
@@ -202,7 +202,7 @@ def test_signals_wait_for_the_end_of_a_move():
     done = []
 
     def move() -> None:
-        with uninterrupted():
+        with delayed_signals():
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.01)
             done.append(True)
