@@ -76,28 +76,28 @@ def read_frames(
     frames: Frames, name: str, layout: str | None, image_size: tuple[int, int] | None
 ) -> Detections:
     """Read 2D keypoints of all people from JSON values, one per frame, of one detector."""
-    producer = next(
+    reader = next(
         (
-            one
+            candidate
             for _, entry in frames
             if entry
-            for one in _PRODUCERS
-            if one(entry, name) is not None
+            for candidate in _FRAME_READERS
+            if candidate(entry, name) is not None
         ),
         None,
     )
-    if producer is None and not any(not entry for _, entry in frames):
+    if reader is None and not any(not entry for _, entry in frames):
         raise FormatError(f"{name}: expected {EXPECTED}")
     rows: list[Row] = []
     for number, entry in frames:
-        if not entry or producer is None:
+        if not entry or reader is None:
             continue
         place = f"{name}, frame {number}"
-        people = producer(entry, place)
-        if people is None and producer is not _people_of_mediapipe:
-            raise FormatError(f"{place}: expected {_PRODUCERS[producer]}")
+        people = reader(entry, place)
+        if people is None and reader is not _people_of_mediapipe:
+            raise FormatError(f"{place}: expected {_FRAME_READERS[reader]}")
         rows += [(number, points, identity) for points, identity in people or []]
-    if producer is _people_of_mediapipe:
+    if reader is _people_of_mediapipe:
         rows, layout = _landmarks_in_pixels(rows, image_size, name), layout or "mediapipe33"
     return detections_of_rows(name, [number for number, _ in frames], rows, layout=layout)
 
@@ -112,7 +112,7 @@ def is_alphapose(value: Any) -> bool:
 
 
 def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
-    """Read 2D keypoints of AlphaPose; scores are divided by 6 if any exceeds 1."""
+    """Read 2D keypoints of AlphaPose; if scores exceed 1, all are divided by 6, their maximum."""
     images = sorted({str(person["image_id"]) for person in people})
     numbers = frame_numbers([PurePath(image).stem for image in images], name)
     by_image = dict(zip(images, numbers, strict=True))
@@ -135,9 +135,9 @@ def _people_of_openpose(entry: Any, source: str) -> People | None:
     return people and [
         (
             _with_hands(points, [one.get(f"hand_{side}_keypoints_2d") for side in SIDES], source),
-            who,
+            number,
         )
-        for (points, who), one in zip(people, entry["people"], strict=True)
+        for (points, number), one in zip(people, entry["people"], strict=True)
     ]
 
 
@@ -155,7 +155,7 @@ def _with_hands(
     if any(len(one) not in (0, POINTS_OF_HAND) for one in found):
         raise FormatError(
             f"{source}: expected {POINTS_OF_HAND} keypoints of a hand, got "
-            f"{' and '.join(str(len(one)) for one in found)}"
+            f"{' and '.join(str(len(hand)) for hand in found)}"
         )
     nothing = np.zeros((POINTS_OF_HAND, 3))
     return np.concatenate((body, *(one if len(one) else nothing for one in found)))
@@ -218,7 +218,7 @@ def _people_of_mediapipe(entry: Any, source: str) -> People | None:
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None
-    found = [landmarks(person, "xy", source) for person in people]
+    found = [landmark_rows(person, "xy", source) for person in people]
     hands = [people_of_landmarks(entry, keys) for keys in _HAND_KEYS if isinstance(entry, dict)]
     if len(found) == 1 and any(hands):
         rows = [_flat_hand(one[0], source) if one else [] for one in hands]
@@ -234,7 +234,7 @@ def _flat_hand(hand: list[Any], source: str) -> list[Any]:
 
 
 def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
-    """Return MediaPipe's landmark records by person under one of `keys`; None if none are."""
+    """Return MediaPipe's landmarks by person, found under one of `keys`; None without them."""
     if isinstance(entry, dict):
         key = next((key for key in keys if key in entry), None)
         entry = None if key is None else entry[key] or []
@@ -245,7 +245,7 @@ def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | 
     return [person for person in entry if isinstance(person, list) and len(person) > 0]
 
 
-def landmarks(person: list[Any], axes: str, source: str) -> Float[np.ndarray, "33 numbers"]:
+def landmark_rows(person: list[Any], axes: str, source: str) -> Float[np.ndarray, "33 numbers"]:
     """Convert a person's 33 landmark records of MediaPipe to rows: the `axes`, then visibility.
 
     Raises:
@@ -266,7 +266,7 @@ def _has_axes(person: list[Any], axes: str) -> bool:
 def _landmarks_in_pixels(
     rows: list[Row], image_size: tuple[int, int] | None, name: str
 ) -> list[Row]:
-    """Convert landmarks from fractions of the image to pixels, if they are no pixels yet."""
+    """Convert landmarks from fractions of the image to pixels, unless they are pixels already."""
     places = [np.abs(points[:LANDMARKS, :2]) for _, points, _ in rows]
     if not rows or np.median(np.nan_to_num(places)) > _FRACTION:
         return rows
@@ -278,7 +278,7 @@ def _landmarks_in_pixels(
     return [(number, points * (*image_size, 1.0), who) for number, points, who in rows]
 
 
-_PRODUCERS: dict[Callable[[Any, str], People | None], str] = {
+_FRAME_READERS: dict[Callable[[Any, str], People | None], str] = {
     _people_of_openpose: "a list of people, as in OpenPose",
     _people_of_easymocap: "annots, as in EasyMocap",
     _people_of_mediapipe: "landmarks, as in MediaPipe",

@@ -39,7 +39,7 @@ from recon.formats.text_tables import (
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
 """Characters at the end of an image's name among which its number is."""
-_FEWEST = 4
+_FEWEST_KNOWN_PARTS = 4
 """Body parts that must be known by name."""
 _WORDS = {
     "l": "left", "r": "right", "lft": "left", "rgt": "right", "sho": "shoulder", "elb": "elbow",
@@ -67,7 +67,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or "
             "DeepLabCut's header rows scorer, bodyparts, coords"
         )
-    # tables of labelled images may have several columns of their names, without a header
+    # in tables of labelled images, columns without a header come first: the image's path
     blank = next((k for k, part in enumerate(header["bodyparts"]) if part), 0)
     header = {key: cells[blank:] for key, cells in header.items()}
     parts, width = header["bodyparts"], len(header["coords"])
@@ -116,17 +116,17 @@ def plain_part_name(part: str) -> str:
 
 def layout_of_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
     """Return the layout that matches most of these part names, and the unmatched names."""
-    words = {plain_part_name(part): part for part in parts}
+    parts_by_word = {plain_part_name(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}
-    found = {key: len(words.keys() & set(LAYOUTS[key])) for key in candidates}
-    best = max(candidates, key=lambda key: (found[key], -len(LAYOUTS[key])))
-    known = words.keys() & set(LAYOUTS[best])
-    if len(known) < _FEWEST:
+    matches = {key: len(parts_by_word.keys() & set(LAYOUTS[key])) for key in candidates}
+    best = max(candidates, key=lambda key: (matches[key], -len(LAYOUTS[key])))
+    known = parts_by_word.keys() & set(LAYOUTS[best])
+    if len(known) < _FEWEST_KNOWN_PARTS:
         raise FormatError(
             f"{name}: only {len(known)} of its body parts are known by name; found "
             f"{', '.join(parts)}, expected names such as {', '.join(LAYOUTS[best][:8])}"
         )
-    return best, [part for word, part in words.items() if word not in known]
+    return best, [part for word, part in parts_by_word.items() if word not in known]
 
 
 def is_sleap(path: Path) -> bool:
@@ -188,7 +188,7 @@ def holds_detections(path: Path) -> bool:
 
 
 def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
-    """Read arrays (frames, points, 2 or 3) or (frames, people, points, 2 or 3), and scores.
+    """Read an .npz of 2D keypoints, (frames, points, 2 or 3) or (frames, people, points, 2 or 3).
 
     Files that `recon detect` wrote have frame numbers, everybody's number, the layout, the frame
     rate and the size of the images besides.
@@ -250,10 +250,10 @@ def _hand_keypoints(
     Raises:
         ValueError: when they are not numbers of the right shape.
     """
-    hands, wanted = np.asarray(arrays["hands"]), (*kept.shape, 42, 3)
-    if hands.shape != wanted or hands.dtype.kind != "f":
+    hands, shape = np.asarray(arrays["hands"]), (*kept.shape, 42, 3)
+    if hands.shape != shape or hands.dtype.kind != "f":
         raise FormatError(
-            f"{path}: expected hands {wanted} of decimal numbers, got {hands.dtype} {hands.shape}"
+            f"{path}: expected hands of shape {shape}, decimals, got {hands.dtype} {hands.shape}"
         )
     hands = with_clipped_confidences(hands[kept].astype(np.float64))
     PIXEL.check(hands[..., :2], path.name, "hands")
@@ -275,9 +275,9 @@ def _background_points(
     whole = pixels.dtype.kind == "f" and which.dtype.kind in "iu"
     if not shaped or not whole or (which < 0).any() or (which[:, 1] >= len(which)).any():
         raise FormatError(
-            f"{path}: expected background (N, 2), pixels as decimal numbers, and background_of "
-            "(N, 2), whole numbers: of every row of background the frame and the number of the "
-            "point seen there, below N; got "
+            f"{path}: expected background (N, 2), decimal numbers: pixels of tracked points; and "
+            "background_of (N, 2), whole numbers: the frame of each row, and the number of its "
+            "point, below N; got "
             f"{pixels.dtype} {pixels.shape} and {which.dtype} {which.shape}"
         )
     PIXEL.check(pixels, path.name, "background")
@@ -298,8 +298,8 @@ def _straight_lines(
     shaped = lines.shape[1:] == (2, 2) and frame.shape == lines.shape[:1]
     if not shaped or lines.dtype.kind != "f" or frame.dtype.kind not in "iu":
         raise FormatError(
-            f"{path}: expected lines (N, 2, 2) of decimal numbers, and lines_frame (N) of whole "
-            f"numbers, got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
+            f"{path}: expected lines (N, 2, 2), decimal pixels of segments' ends, and lines_frame "
+            f"(N), whole numbers, got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
         )
     PIXEL.check(lines, path.name, "lines")
     return {"lines": lines.astype(np.float64), "lines_frame": frame}

@@ -26,7 +26,7 @@ from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
-from recon.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
+from recon.keypoints3d.labels import STUDY, are_keypoints, keypoints_of_labels
 from recon.mocap.recording import MarkerRecording
 
 _TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"}
@@ -42,7 +42,7 @@ def keypoint_places(
     """
     vertices: list[int] = []
     offsets: list[Tensor] = []
-    for label, name in zip(labels, meant_keypoints(labels), strict=True):
+    for label, name in zip(labels, keypoints_of_labels(labels), strict=True):
         if name is None or name not in PLACES:
             raise ReconError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
         place = PLACES[name]
@@ -205,7 +205,7 @@ def right_handed_markers(
 ) -> MarkerRecording:
     """Return the recording in right-handed axes, with a note in it if it was mirrored."""
     chosen = recording.select(markers.labels)
-    meant = meant_keypoints(markers.labels) if markers.inside else ()
+    meant = keypoints_of_labels(markers.labels) if markers.inside else ()
     places = {landmark(name): name for name in landmarks()}
     names = [str(name) for name in meant] or [places.get(one, "") for one in markers.vertices]
     factors, said = right_handed_signs(names, chosen.positions, chosen.visible, hand)
@@ -238,7 +238,7 @@ def _labels_of_one_subject(
 
 
 def _marker_set_of_keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
-    meant = zip(labels, meant_keypoints(labels), strict=True)
+    meant = zip(labels, keypoints_of_labels(labels), strict=True)
     known = tuple(label for label, name in meant if name in PLACES)
     vertices, nominal = keypoint_places(known, body)
     return MarkerSet(

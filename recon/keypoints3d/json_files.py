@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
-from recon.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
+from recon.detections.json_files import LANDMARKS, landmark_rows, people_of_landmarks
 from recon.formats.json_files import as_floats, as_identity, listed_frames, read_json
 from recon.formats.scan_times import consecutive_numbers
 from recon.keypoints3d.people_files import listed_in_time, points_of_one_person, read_people
@@ -77,7 +77,7 @@ def _listed_names(value: dict[str, Any]) -> tuple[str, ...]:
 def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     """Read MediaPipe's world landmarks: metres from the middle of the hips, y down, z away."""
     frames = listed_frames(_frame_entries(value), name)
-    numbers, stepped = consecutive_numbers([number for number, _ in frames])
+    numbers, notes = consecutive_numbers([number for number, _ in frames])
     count = int(numbers[-1]) + 1
     FRAMES.check(count, name)
     found = [
@@ -88,7 +88,7 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     ]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
-        known = [  # match people in the image, as all world landmarks have the hips at the origin
+        known = [  # world landmarks all have the hips at the origin: the image tells people apart
             [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
             for a, b in zip(found, image, strict=True)
         ]
@@ -99,14 +99,14 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     positions = np.full((count, LANDMARKS, 3), np.nan)
     for k, place in tracks[chosen].items():
         positions[numbers[k]] = found[k][place]
-    decisions = ("layout mediapipe33: MediaPipe's world landmarks", *stepped, *said)
+    decisions = ("layout mediapipe33: MediaPipe's world landmarks", *notes, *said)
     return Points3D(name, positions, layout="mediapipe33", unit="m", decisions=decisions)
 
 
 def _people_of_frame(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
     """The landmarks of all people in one frame; NaN where not seen."""
     people = people_of_landmarks(entry, keys) if isinstance(entry, dict) else None
-    found = [landmarks(one, "xyz", place) for one in people or []]
+    found = [landmark_rows(one, "xyz", place) for one in people or []]
     return [np.where(one[:, 3:] < _SEEN, np.nan, one[:, :3]) for one in found]
 
 

@@ -51,14 +51,14 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 
 def split_off_hands(points: Points3D) -> tuple[Points3D, Points3D | None]:
     """Split keypoints into the body's and 42 of the hands, which are None if there are none."""
-    meant = [_point_of_hand(name) for name in points.names]
-    rows = {one: k for k, one in enumerate(meant) if one is not None and one not in meant[:k]}
+    found = [_point_of_hand(name) for name in points.names]
+    rows = {one: k for k, one in enumerate(found) if one is not None and one not in found[:k]}
     if len(rows) < _FEWEST:
         return points, None
     hands = np.full((len(points.positions), len(FINGER_POINTS), 3), np.nan)
     for name, k in rows.items():
         hands[:, FINGER_POINTS.index(name)] = points.positions[:, k]
-    kept = [k for k, one in enumerate(meant) if one is None]
+    kept = [k for k, one in enumerate(found) if one is None]
     body = replace(
         points, names=tuple(points.names[k] for k in kept), positions=points.positions[:, kept],
         decisions=(*points.decisions, f"{len(rows)} points of hands, which fingers are fitted to"),
@@ -106,7 +106,7 @@ _PLACES_OF_THUMB = {
 }  # fmt: skip
 
 
-def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
+def keypoints_of_labels(labels: Sequence[str]) -> list[str | None]:
     """Return recon's name of the keypoint that each label means; None for an unknown label.
 
     `head`, `neck`, `pelvis` and `foot` mean joints inside the body if other labels show that the
@@ -127,7 +127,7 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
 
 
 def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
-    """Return the keypoints that labels mean as names of bones, by index; {} for other labels.
+    """Return the keypoint where each limb bone begins, by its label's index; {} if no bones.
 
     Bones are known by thighs, lower legs, upper arms and forearms (LeftUpLeg, shin.L, upperarm_r),
     which detectors do not name; the "shoulder" among them is the clavicle.
@@ -162,9 +162,9 @@ def are_keypoints(labels: Sequence[str]) -> bool:
     Markers that OpenCap's augmenter computed from keypoints and wrote beside them do not count,
     nor do points of hands.
     """
-    left = (STUDY, *FINGER_POINTS)
-    labels = [one for one in labels if not (_point_of_hand(one) or one).endswith(left)]
-    found = meant_keypoints(labels)
+    others = (STUDY, *FINGER_POINTS)
+    labels = [one for one in labels if not (_point_of_hand(one) or one).endswith(others)]
+    found = keypoints_of_labels(labels)
     return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
 
 

@@ -37,7 +37,7 @@ _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
 
 
 def named_by_count(points: Points3D) -> Points3D:
-    """Return keypoints with names if their number determines the layout, without faces."""
+    """Name unnamed keypoints if their number determines the layout; leave out faces."""
     count = points.positions.shape[1]
     if points.names or points.layout:
         return points

@@ -77,15 +77,15 @@ def points_of_one_person(
     """
     PEOPLE.check(max((len(people) for _, people in frames), default=0), name)
     FRAMES.check(frames[-1][0] - frames[0][0] + 1 if frames else 0, name)
-    numbers, stepped = consecutive_numbers([k for k, _ in frames])
+    numbers, notes = consecutive_numbers([k for k, _ in frames])
     if all(who >= 0 for _, people in frames for who, _ in people):
-        often = Counter(who for _, people in frames for who, _ in people).most_common()
+        counts = Counter(who for _, people in frames for who, _ in people).most_common()
         tracks = [
             {k: [one for one, _ in people].index(who)
              for k, (_, people) in enumerate(frames) if who in dict(people)}
-            for who, _ in often
+            for who, _ in counts
         ]  # fmt: skip
-        tracks, stepped = _joined_tracks(tracks, [people for _, people in frames], stepped)
+        tracks, notes = _joined_tracks(tracks, [people for _, people in frames], notes)
     else:
         tracks = tracks_of_people([[points for _, points in people] for _, people in frames])
     if not tracks:
@@ -102,25 +102,25 @@ def points_of_one_person(
                 f"got numbers of shape {points.shape}"
             )
         positions[number] = points
-    said = (*known.pop("decisions", ()), *stepped, *said)
+    said = (*known.pop("decisions", ()), *notes, *said)
     return Points3D(name, positions, names, decisions=said, **known)
 
 
 def _joined_tracks(
-    tracks: list[dict[int, int]], frames: Sequence[People], said: tuple[str, ...]
+    tracks: list[dict[int, int]], frames: Sequence[People], notes: tuple[str, ...]
 ) -> tuple[list[dict[int, int]], tuple[str, ...]]:
-    """Join tracks where one begins soon after another's end, and about in its pose.
+    """Join a track to the one that ended shortly before in nearly the same pose, if any.
 
     Args:
         tracks: for every person, the place in the list of people, keyed by frame.
         frames: everybody in every frame.
-        said: sentences, to which one about joined tracks is added.
+        notes: sentences, to which one about joined tracks is added.
 
     Returns:
         The tracks, the longest first, and the sentences.
     """
     out: list[dict[int, int]] = []
-    for track in sorted(tracks, key=min):  # frames in a track increase
+    for track in sorted(tracks, key=min):  # its frames increase, so the first is the earliest
         start = next(iter(track))
         pose = frames[start][track[start]][1]
         ends = [(k, frames[last][one[last]][1]) for k, one in enumerate(out)
@@ -133,7 +133,7 @@ def _joined_tracks(
             out.append(dict(track))
     told = f"{len(tracks)} numbers of people are those of {len(out)}: some go on where others end"
     joined = len(out) < len(tracks)
-    return sorted(out, key=len, reverse=True), (*said, told) if joined else said
+    return sorted(out, key=len, reverse=True), (*notes, told) if joined else notes
 
 
 _LOST = 15

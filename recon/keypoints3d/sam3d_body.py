@@ -69,11 +69,11 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     frames = [[_checked_person(one, path) for one in people] for people in _people_by_frame(path)]
     FRAMES.check(len(frames), path)
     PEOPLE.check(max(map(len, frames), default=0), path)
-    added = [_depth_of_hips(one[_POINTS]) > _ADDED for people in frames for one in people]
-    if not added:
+    far = [_depth_of_hips(one[_POINTS]) > _ADDED for people in frames for one in people]
+    if not far:
         raise FormatError(f"{path}: expected people, but all {len(frames)} frames are empty")
-    within = 2 * sum(added) > len(added)
-    placed = [[_in_camera_frame(one, path, within) for one in people] for people in frames]
+    in_camera = 2 * sum(far) > len(far)
+    placed = [[_in_camera_frame(one, path, in_camera) for one in people] for people in frames]
     middle = float(np.median([_depth_of_hips(one) for people in placed for one in people]))
     tracks = tracks_of_people(
         [[_matching_coordinates(one, middle) for one in people] for people in placed]
@@ -84,7 +84,7 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     people = [frames[k][place] for k, place in seen.items()]
     points = np.stack([placed[k][place] for k, place in seen.items()])
     said = ["layout mhr70: SAM 3D Body's, in the frame of the camera", *several]
-    if within:
+    if in_camera:
         said.append(f"{_PLACE} is in {_POINTS} already")
     found = [_focal_and_centre(one, at, path) for one, at in zip(people, points, strict=True)]
     if None not in found:
@@ -130,11 +130,11 @@ def _checked_person(person: object, path: Path) -> Person:
     return out
 
 
-def _in_camera_frame(person: Person, path: Path, within: bool) -> np.ndarray:
+def _in_camera_frame(person: Person, path: Path, in_camera: bool) -> np.ndarray:
     """Return a person's keypoints in the frame of the camera, metres."""
-    if not within and _PLACE not in person:
+    if not in_camera and _PLACE not in person:
         raise FormatError(f"{path}: expected the person's place, {_PLACE}, beside {_POINTS}")
-    points = person[_POINTS] if within else person[_POINTS] + person[_PLACE]
+    points = person[_POINTS] if in_camera else person[_POINTS] + person[_PLACE]
     if not (points[:, 2] > 0).all():
         raise FormatError(f"{path}: expected people in front of the camera, got a depth below 0 m")
     return points
@@ -164,7 +164,7 @@ def _focal_and_centre(
     if stated is not None and abs(f / float(stated) - 1) > _CHANGES:
         raise FormatError(
             f"{path}: {_FOCAL} is {float(stated):.0f} px, but the keypoints were projected with "
-            f"{f:.0f} px; save both of one result"
+            f"{f:.0f} px; save both from one result"
         )
     return f, x, y
 
@@ -254,10 +254,10 @@ def _people_by_frame(path: Path) -> list[list[Any]]:
             content[key] for key in sorted(content, key=lambda one: _numbers_in_name(str(one)))
         ]
     frames = content if isinstance(content, list) else [content]
-    return [list(_people_of(one)) for one in frames]
+    return [list(_people_in_frame(one)) for one in frames]
 
 
-def _people_of(frame: object) -> Sequence[Any]:
+def _people_in_frame(frame: object) -> Sequence[Any]:
     if frame is None:
         return ()
     if isinstance(frame, np.ndarray):

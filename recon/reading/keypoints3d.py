@@ -16,7 +16,7 @@ from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
-from recon.keypoints3d.labels import limbs_of_bones, meant_keypoints, split_off_hands
+from recon.keypoints3d.labels import keypoints_of_labels, limbs_of_bones, split_off_hands
 from recon.keypoints3d.reader import with_known_rate
 from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
@@ -120,10 +120,10 @@ def _with_known_names(raw: Points3D, body: BodyModel, layout: str | None) -> Poi
         chosen, reason = settle_body_layout(raw.positions, layout or raw.layout, body, raw.name)
         names = keypoint_names(chosen)
         if chosen == "smpl22":
-            names = tuple(str(name) for name in meant_keypoints(names))
+            names = tuple(str(name) for name in keypoints_of_labels(names))
         said = dict.fromkeys((*raw.decisions, reason))
         return replace(raw, names=names, decisions=tuple(said))
-    meant = meant_keypoints(raw.names)
+    meant = keypoints_of_labels(raw.names)
     kept = [k for k, name in enumerate(meant) if name is not None and name not in meant[:k]]
     unknown = [raw.names[k] for k in range(len(meant)) if k not in kept]
     names = tuple(str(meant[k]) for k in kept)

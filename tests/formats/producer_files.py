@@ -12,7 +12,7 @@ from scipy.io import savemat
 from observations.correspondences import BodyPoints
 from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
-from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.labels import keypoints_of_labels
 from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
@@ -34,7 +34,7 @@ def points(layout: str) -> np.ndarray:
 
 def of_labels(labels: Sequence[str]) -> np.ndarray:
     """Points of a walk by any labels; those that are no keypoints are at the wrists."""
-    meant = [one or "left_wrist" for one in meant_keypoints(labels)]
+    meant = [one or "left_wrist" for one in keypoints_of_labels(labels)]
     body = bundled()
     return BodyPoints.of_names(meant, body).of(body.pose(walk(FRAMES))).double().numpy()
 

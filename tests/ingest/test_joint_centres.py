@@ -11,13 +11,13 @@ from recon.detections.tables import plain_part_name
 from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.marker_sets import keypoint_places
-from recon.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.keypoints3d.labels import are_keypoints, keypoints_of_labels
 from tests.ingest.walker import MARKERS
 
 
 @pytest.mark.parametrize("label", ["RHip", "LKnee", "Nose", "CHip", "Neck", "left_big_toe", "Hip"])
 def test_keypoints_are_known_by_name(label: str) -> None:
-    assert meant_keypoints([label]) != [None]
+    assert keypoints_of_labels([label]) != [None]
     assert plain_part_name("RHip") == "right_hip"
 
 
@@ -39,8 +39,8 @@ def test_bones_mean_the_joints_at_which_they_begin(
     labels = [hips, "Spine1", clavicle, *(f"{a}{one}{b}" for a, b in sides for one in bones)]
     limbs = ("hip", "knee", "ankle", "foot_joint", "shoulder", "elbow", "wrist")
     expected = [f"{side}_{joint}" for side in ("left", "right") for joint in limbs]
-    assert meant_keypoints(labels) == ["pelvis_joint", None, None, *expected]
-    assert meant_keypoints(["LShoulder", "LElbow", "LArm"])[0] == "left_shoulder"
+    assert keypoints_of_labels(labels) == ["pelvis_joint", None, None, *expected]
+    assert keypoints_of_labels(["LShoulder", "LElbow", "LArm"])[0] == "left_shoulder"
 
 
 def test_marker_sets_are_no_keypoints(single: BodyModel) -> None:

@@ -14,7 +14,7 @@ from observations.start.standing import planted_translations
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import FitSettings
-from recon.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.keypoints3d.labels import are_keypoints, keypoints_of_labels
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
 from recon.reading.clip import load_clip
@@ -308,7 +308,7 @@ def test_damaged_files_are_refused_with_a_reason(tmp_path, name, content, named)
     ],
 )  # fmt: skip
 def test_labels_mean_keypoints_as_their_producers_do(labels, meant):
-    assert tuple(meant_keypoints(labels)) == meant
+    assert tuple(keypoints_of_labels(labels)) == meant
 
 
 def test_markers_of_a_laboratory_are_no_keypoints():
