@@ -214,7 +214,7 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
             rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
         elif old and isinstance(told, list):
             rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
-            # VRM 0.x names joints of the thumb like those of the other fingers
+            # VRM 0.x names the thumb's first two joints otherwise than VRM 1.0
             for side in SIDES:
                 ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
                 ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
@@ -255,7 +255,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
         found["head"] = max(numbered, key=lambda k: len(tree.path_to_root(k)))
-    # ankles choose first: a bone called foot is the ankle if no other bone is, else maybe the toes
+    # toes (left_foot) choose last, after ankles: a bone called foot is the toes if it is no ankle
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
         if not free:

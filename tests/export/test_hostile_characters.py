@@ -99,7 +99,7 @@ REFUSED = {
     "text for numbers": (_text, "expected 3 numbers of a node"),
     "nan": (_nan, "expected 3 numbers of a node"),
     "half a joint": (_joints, "expected the number of a node"),
-    "a record for a list": (_stray, "expected a list of records in skins"),
+    "a record for a list": (_stray, "expected a list of JSON objects in skins"),
     "glTF 1": (_old, "expected glTF of version 2"),
 }
 
