@@ -163,7 +163,7 @@ def minimise_frames(
         size = curvatures.half_squared_length(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # rejected frames keep their state, which changes the energies of ties to neighbours
+            # move accepted frames only: ties to rejected ones, which stay, have other energies
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tie_energies(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()

@@ -22,7 +22,7 @@ from recon.ingest import Conversion, convert
 from recon.ingest.conversion import on_ground
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
-    mirrored,
+    opposite_label,
     side_pairs,
     with_exchanges_undone,
 )
@@ -282,7 +282,7 @@ def test_pairs_lie_in_each_others_place() -> None:
      ("Hip_L", "Hip_R"), ("C7", None), ("Sternum", None)],
 )  # fmt: skip
 def test_counterparts_of_labels(label: str, other: str | None) -> None:
-    assert mirrored(label) == other
+    assert opposite_label(label) == other
 
 
 def test_augmented_keypoints_are_left_out(markers: MarkerRecording, single: BodyModel) -> None:
