@@ -47,7 +47,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """Convert a motion with fingers to a skeleton recording, with tips of fingers, not wrists."""
+    """Convert a motion with fingers to a skeleton recording, ending in fingertips, not wrists."""
     from recon.body.hands import finger_offsets, pose_fingers  # imported only for fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 

@@ -145,7 +145,7 @@ class Character:
 
     @cached_property
     def scale(self) -> float:
-        """Ratio of lengths in the scene to lengths in `reference`, by legs and upper arms."""
+        """Ratio of lengths in the scene to those in `reference`, taken at legs and upper arms."""
         nodes = self.bones.nodes
         pairs = [
             (nodes[f"{s}_{a}"], nodes[f"{s}_{b}"])

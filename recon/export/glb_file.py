@@ -62,7 +62,7 @@ class GltfFile:
             )
         data = read_binary(path)
         if data[:4] == b"glTF":
-            text, binary = _chunks(path, data)
+            text, binary = _json_and_binary(path, data)
         else:
             text, binary = data, None
         document = parsed_json(path, text)
@@ -131,7 +131,7 @@ class GltfFile:
             )
         return value
 
-    def write_with(
+    def write_with_animation(
         self,
         path: Path,
         name: str,
@@ -223,7 +223,7 @@ def _record(value: Any, path: Path, key: str = "the file") -> dict[str, Any]:
     return value
 
 
-def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
+def _json_and_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     """Split a GLB into its JSON and its binary part.
 
     Raises:

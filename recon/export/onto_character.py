@@ -82,7 +82,7 @@ def write_character(
             tracks.append((node, "translation", places.numpy()))
         tracks.append((node, "rotation", quaternions(local[:, None])[:, 0].numpy()))
     times = np.arange(motion.frames) / motion.fps
-    read.file.write_with(path, "motion", times, tracks, records)
+    read.file.write_with_animation(path, "motion", times, tracks, records)
     return AnimatedCharacter(
         read.bones.names_by_joint(read.tree.names), ratio, _warnings(read, motion)
     )

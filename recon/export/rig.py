@@ -87,7 +87,7 @@ class CharacterRig:
 def node_rotations(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "time 3 3"]]:
-    """Return the world rotations since the rest pose that a motion gives to nodes, z up.
+    """Return each node's rotation from the rest pose in every frame of a motion; world, z up.
 
     A spine with another number of bones gets rotations interpolated along the body's spine.
     """

@@ -144,7 +144,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         return torch.arange(len(self.poses.visible))
 
 
-def calibrated(
+def calibrated_frames(
     energies: SubjectEnergies,
     translation: Float[Tensor, "frames 3"],
     rotations: Float[Tensor, "frames 22 3 3"],

@@ -17,8 +17,8 @@ from recon.diagnosis.movement import height_findings
 from recon.diagnosis.tracks import identity_changes
 from recon.ingest.conversion import Conversion, on_ground
 from recon.ingest.marker_exchanges import (
-    exchanged_throughout,
     pair_finding,
+    pairs_exchanged_throughout,
     side_pairs,
     with_exchanges_undone,
     with_labels_exchanged,
@@ -220,7 +220,7 @@ def _with_better_labels(
 ) -> tuple[MarkerRecording, Finding] | None:
     """Return the recording with labels that fit better, and a finding; None if none do."""
     labels = recording.marker_names
-    pairs = exchanged_throughout(
+    pairs = pairs_exchanged_throughout(
         labels,
         recording.positions,
         recording.visible,

@@ -96,7 +96,7 @@ def _stretch_findings(
     return found
 
 
-def exchanged_throughout(
+def pairs_exchanged_throughout(
     labels: Sequence[str],
     positions: Float[np.ndarray, "time markers 3"],
     visible: Bool[np.ndarray, "time markers"],

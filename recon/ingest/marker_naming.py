@@ -97,13 +97,13 @@ class Naming:
         self._name_tracks()
 
     def _first_body(self) -> tuple[FoundBody, int]:
-        """Search the body in a few key frames; return the best fit and the number of its frame."""
+        """Search for the body in a few key frames; return the best fit and its frame's number."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
-        at = [int(part[counts[part].argmax()]) for part in parts]
+        fullest = [int(part[counts[part].argmax()]) for part in parts]
         # search first in an early frame, as people mostly stand then, and at once in a middle one
-        starts = [at.pop(0), *at[len(at) // 2 :][:1]]
-        others = [k for k in at if k not in starts]
+        starts = [fullest.pop(0), *fullest[len(fullest) // 2 :][:1]]
+        others = [k for k in fullest if k not in starts]
         found: list[tuple[FoundBody, int]] = []
         for some, effort, least in (
             (starts, 1, 1.0), (others, 1, _TOLERABLE), ([*starts, *others], 3, np.inf)
@@ -155,8 +155,8 @@ class Naming:
         """Fit poses from one key frame onwards, and sum the log odds of the tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
-        ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
-        for some in ([at], *([k for k in both if k is not None] for both in ways)):
+        pairs = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
+        for some in ([at], *([k for k in both if k is not None] for both in pairs)):
             # fit up to two frames at once, as fast as one; each starts at its neighbour's pose
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)

@@ -257,4 +257,4 @@ def test_json_with_lone_surrogates_is_no_crash(made):
     made.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(parts)) + parts)
     read = Character.read(made)
     with pytest.raises(ReconError, match="NaN, infinity or broken text"):
-        read.file.write_with(made.with_name("o.glb"), "m", np.zeros(1), [], {})
+        read.file.write_with_animation(made.with_name("o.glb"), "m", np.zeros(1), [], {})
