@@ -39,7 +39,7 @@ from recon.diagnosis.keypoints import screen_views
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.records import Points3D
-from recon.mocap.recording import MarkerRecording, settle_markers
+from recon.mocap.recording import MarkerRecording, markers_in_metres
 from recon.reading.keypoints3d import points_in_metres
 from recon.reading.points import positions_in_metres
 from recon.simulation.images import camera_ring
@@ -113,7 +113,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
     def markers(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         raw = MarkerRecording("markers", LABELS, points, seen, FPS, ())
-        found = settle_markers(raw, unit=None, up=None)
+        found = markers_in_metres(raw, unit=None, up=None)
         names = [places[label] for label in LABELS]
         return found.positions * right_handed_signs(names, found.positions, found.visible)[0]
 

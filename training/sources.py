@@ -28,9 +28,9 @@ from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
     drop_lead_in,
+    markers_in_metres,
     posed_skeleton,
-    settle_markers,
-    settle_skeleton,
+    skeleton_in_metres,
 )
 
 FIRST, MORE = "mocap", "mocap_more"
@@ -134,7 +134,7 @@ def read_packed(path: Path) -> MarkerRecording:
         path.name, _PLUG_IN_GAIT, np.where(seen[..., None], places, 0.0), seen,
         _PACKED_RATE, ("packed markers of UI-PRMD",),
     )  # fmt: skip
-    return settle_markers(raw_markers, unit="m", up="z")
+    return markers_in_metres(raw_markers, unit="m", up="z")
 
 
 _UPRIGHT = (
@@ -294,7 +294,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
     positions, orientations = posed_skeleton(parents, local_poses(), len(frames))
     raw = SkeletonRecording(path.name, names, parents, offsets, positions, orientations,
                             snapped_rate(1 / float(np.median(frames[:, 0]))), ())  # fmt: skip
-    return settle_skeleton(raw, unit="m", up="y")
+    return skeleton_in_metres(raw, unit="m", up="y")
 
 
 def _joint_rotations(frames: np.ndarray) -> dict[str, np.ndarray]:

@@ -61,7 +61,7 @@ def map_bones(
     places: Float[np.ndarray, "nodes 3"],
     document: Mapping[str, Any],
     path: Path,
-    given: Path | None = None,
+    table: Path | None = None,
 ) -> BoneMap:
     """Find the nodes of a character that stand for a person's joints.
 
@@ -74,7 +74,7 @@ def map_bones(
         places: positions of the nodes in the character's rest pose, y up.
         document: the glTF file's JSON.
         path: of the file, for messages.
-        given: TOML file of lines `left_knee = "name of a node"`, with recon's names of joints.
+        table: TOML file of lines `left_knee = "name of a node"`, with recon's names of joints.
 
     Raises:
         ReconError: when bones are missing or two are the same; the message has their names.
@@ -83,7 +83,7 @@ def map_bones(
         _vrm_bones(document, len(tree.names)) or _bones_by_names(tree, path),
         list[str](),
     )
-    found |= _bones_of_user(given, tree) if given is not None else {}
+    found |= _bones_of_user(table, tree) if table is not None else {}
     missing = [joint for joint in (*_NEEDED, "head") if joint not in found]
     if missing:
         guessed = bones_by_tree(tree, places)
@@ -176,24 +176,24 @@ def _completed_map(
     return BoneMap(kept, tuple(spine), neck, by_tree)
 
 
-def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
+def _bones_of_user(table: Path, tree: Tree) -> dict[str, int]:
     """Read the file in which the user named bones; return their nodes, keyed by joint.
 
     Raises:
         ReconError: when a name is no joint, or not the name of exactly one node.
     """
     found, known = {}, (*JOINTS, *HAND_JOINTS)
-    for joint, name in read_toml(given).items():
+    for joint, name in read_toml(table).items():
         if joint not in known or joint in ("spine1", "spine2", "spine3", "neck"):
             raise ReconError(
-                f"{given}: expected names of joints such as left_knee or right_index1 (spine and "
+                f"{table}: expected names of joints such as left_knee or right_index1 (spine and "
                 f"neck are found by themselves, between pelvis and head), got {joint!r:.40}"
             )
         nodes = [k for k, own in enumerate(tree.names) if own == name]
         if len(nodes) != 1:
             count = "no node" if not nodes else f"{len(nodes)} nodes"
             raise ReconError(
-                f"{given}: {joint} = {name!r:.40}, but {count} of the character has this name; "
+                f"{table}: {joint} = {name!r:.40}, but {count} of the character has this name; "
                 f"its bones are {_listed_bone_names(tree)}"
             )
         found[joint] = nodes[0]
@@ -204,26 +204,26 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
     """Read the bones from the table of a VRM 1.0 or 0.x; empty for other files."""
     extensions = document.get("extensions")
     extensions = extensions if isinstance(extensions, dict) else {}
-    ours = {theirs: joint for joint, theirs in names_of_joints()["vrm"].items()}
+    known = {bone: joint for joint, bone in names_of_joints()["vrm"].items()}
     rows: list[tuple[Any, Any]] = []
     for key, old in (("VRMC_vrm", False), ("VRM", True)):
-        told = extensions.get(key)
-        told = told.get("humanoid") if isinstance(told, dict) else None
-        told = told.get("humanBones") if isinstance(told, dict) else None
-        if isinstance(told, dict):
-            rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
-        elif old and isinstance(told, list):
-            rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
-            # VRM 0.x names joints of the thumb like those of the other fingers
+        entry = extensions.get(key)
+        entry = entry.get("humanoid") if isinstance(entry, dict) else None
+        entry = entry.get("humanBones") if isinstance(entry, dict) else None
+        if isinstance(entry, dict):
+            rows = [(k, one.get("node")) for k, one in entry.items() if isinstance(one, dict)]
+        elif old and isinstance(entry, list):
+            rows = [(one.get("bone"), one.get("node")) for one in entry if isinstance(one, dict)]
+            # VRM 0.x names the thumb's first two joints otherwise than VRM 1.0
             for side in SIDES:
-                ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
-                ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
+                known[f"{side}ThumbProximal"] = f"{side}_thumb1"
+                known[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
         if rows:
             break
     chains = ("spine1", "spine2", "spine3", "neck")
     return {
-        ours[name]: node for name, node in rows
-        if name in ours and ours[name] not in chains and type(node) is int and 0 <= node < count
+        known[name]: node for name, node in rows
+        if name in known and known[name] not in chains and type(node) is int and 0 <= node < count
     }  # fmt: skip
 
 
@@ -255,7 +255,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
         found["head"] = max(numbered, key=lambda k: len(tree.path_to_root(k)))
-    # ankles choose first: a bone called foot is the ankle if no other bone is, else maybe the toes
+    # toes (left_foot) choose last, after ankles: a bone called foot is the toes if it is no ankle
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
         if not free:

@@ -47,14 +47,14 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """Convert a motion with fingers to a skeleton recording, with tips of fingers, not wrists."""
+    """Convert a motion with fingers to a skeleton recording, ending in fingertips, not wrists."""
     from recon.body.hands import finger_offsets, pose_fingers  # imported only for fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
-    alone = skeleton_of(motion.replace(hands=None), body, name)
+    body_only = skeleton_of(motion.replace(hands=None), body, name)
     count, joints = len(JOINTS), len(HAND_JOINTS)
     wrists = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
-    ends = [k for k in range(count, len(alone.parents)) if alone.parents[k] not in wrists]
+    ends = [k for k in range(count, len(body_only.parents)) if body_only.parents[k] not in wrists]
     places, turns = (one.detach().double().cpu().numpy() for one in pose_fingers(motion, body))
     offsets = finger_offsets(motion, body).detach().double().cpu().numpy()
     tips = np.array(HAND_PARENTS[joints:]) - count
@@ -65,11 +65,11 @@ def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> Skelet
         return np.concatenate(kept, axis)
 
     return replace(
-        alone, joint_names=(*JOINTS, *names, *(alone.joint_names[k] for k in ends)),
-        parents=(*PARENTS, *HAND_PARENTS, *(alone.parents[k] for k in ends)),
-        rest_offsets=joined(alone.rest_offsets, offsets, 0),
-        positions=joined(alone.positions, places, 1),
-        orientations=joined(alone.orientations, np.concatenate((turns, turns[:, tips]), 1), 1),
+        body_only, joint_names=(*JOINTS, *names, *(body_only.joint_names[k] for k in ends)),
+        parents=(*PARENTS, *HAND_PARENTS, *(body_only.parents[k] for k in ends)),
+        rest_offsets=joined(body_only.rest_offsets, offsets, 0),
+        positions=joined(body_only.positions, places, 1),
+        orientations=joined(body_only.orientations, np.concatenate((turns, turns[:, tips]), 1), 1),
     )  # fmt: skip
 
 
@@ -113,8 +113,8 @@ def write_bvh(
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
-    # three.js finds no joint whose name has a colon
     theirs = joint_names_in(recording.joint_names, bones)
+    # three.js finds no joint whose name has a colon, as Mixamo's names have
     names = tuple(name.removeprefix("mixamorig:") for name in theirs)
     parents = recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()

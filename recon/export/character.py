@@ -94,7 +94,7 @@ class Character:
             name, path = self.tree.names[k], self.file.path
             if not np.isfinite(self.world[k]).all() or sizes.min() < 1e-9:
                 raise FormatError(
-                    f"{path}: the bone {name!r:.40} is scaled to zero or has no finite place"
+                    f"{path}: the bone {name!r:.40} is scaled to zero or placed at NaN or infinity"
                 )
             if np.linalg.det(part) < 0:
                 raise ReconError(
@@ -145,7 +145,7 @@ class Character:
 
     @cached_property
     def scale(self) -> float:
-        """Ratio of lengths in the scene to lengths in `reference`, by legs and upper arms."""
+        """Ratio of lengths in the scene to those in `reference`, taken at legs and upper arms."""
         nodes = self.bones.nodes
         pairs = [
             (nodes[f"{s}_{a}"], nodes[f"{s}_{b}"])
@@ -256,8 +256,8 @@ def _inverse_bind_matrices(
         return None
     if numbers.shape[0] < count or numbers.shape[1] != 16 or not np.isfinite(numbers).all():
         raise FormatError(
-            f"{file.path}: expected {count} inverse bind matrices of finite numbers, got "
-            f"{numbers.shape[0]}, or NaN in them"
+            f"{file.path}: expected {count} inverse bind matrices of 16 finite numbers, got "
+            f"{numbers.shape[0]} of {numbers.shape[1]} numbers, or some not finite"
         )
     return numbers[:count].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
 

@@ -62,7 +62,7 @@ class GltfFile:
             )
         data = read_binary(path)
         if data[:4] == b"glTF":
-            text, binary = _chunks(path, data)
+            text, binary = _json_and_binary(path, data)
         else:
             text, binary = data, None
         document = parsed_json(path, text)
@@ -119,7 +119,7 @@ class GltfFile:
         raw = np.ndarray((count, width), dtype, data, begin + inside, (stride, step // width))
         return normalised(raw.copy(), one)
 
-    def index(self, value: object, count: int, what: str) -> int:
+    def index(self, value: object, count: int, kind: str) -> int:
         """Return a value after a check that it is an index into a list of `count` records.
 
         Raises:
@@ -127,11 +127,11 @@ class GltfFile:
         """
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
             raise FormatError(
-                f"{self.path}: expected the number of a {what} below {count}, got {value!r:.40}"
+                f"{self.path}: expected the number of a {kind} below {count}, got {value!r:.40}"
             )
         return value
 
-    def write_with(
+    def write_with_animation(
         self,
         path: Path,
         name: str,
@@ -213,17 +213,17 @@ def records(document: Any, key: str, path: Path) -> list[dict[str, Any]]:
     """
     found = _record(document, path).get(key, [])
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
-        raise FormatError(f"{path}: expected a list of records in {key}, got {found!r:.60}")
+        raise FormatError(f"{path}: expected a list of JSON objects in {key}, got {found!r:.60}")
     return found
 
 
 def _record(value: Any, path: Path, key: str = "the file") -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise FormatError(f"{path}: expected glTF, but {key} is no record: {value!r:.60}")
+        raise FormatError(f"{path}: expected glTF, but {key} is no JSON object: {value!r:.60}")
     return value
 
 
-def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
+def _json_and_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     """Split a GLB into its JSON and its binary part.
 
     Raises:
@@ -269,7 +269,7 @@ def _data_of(record: dict[str, Any], path: Path) -> bytes:
             raise FormatError(f"{path}: data in the file are damaged ({error})") from error
     file = (path.parent / unquote(uri)).resolve()
     if ":" in uri or not file.is_relative_to(path.parent.resolve()):
-        raise FormatError(f"{path}: expected files in the same folder, got {uri!r:.80}")
+        raise FormatError(f"{path}: expected data files in the same folder, got {uri!r:.80}")
     return read_binary(file)
 
 

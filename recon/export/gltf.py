@@ -44,10 +44,10 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
         upright = so3.rigid(turn, turn.new_zeros(3))
         motion = motion.carried(upright, body.rest_joints(motion.shape)[0].detach())
     skeleton, file = Skeleton.of(motion, body), _Buffer()
-    mesh = file.mesh(vertices, body, skeleton)
+    mesh = file.add_mesh(vertices, body, skeleton)
     inverse = skeleton.binds.transpose(0, 2, 1).reshape(-1, 16)
     matrices = file.add(inverse, gltf.FLOAT, gltf.MAT4)
-    animation = file.animation(motion, skeleton)
+    animation = file.add_animation(motion, skeleton)
     count = len(skeleton.names)
     nodes = [
         gltf.Node(
@@ -131,7 +131,7 @@ class _Buffer:
         )
         return len(self.accessors) - 1
 
-    def mesh(
+    def add_mesh(
         self, vertices: Float[Tensor, "vertices 3"], body: BodyModel, skeleton: Skeleton
     ) -> Any:
         """Append the body at rest with its skinning weights as a mesh."""
@@ -152,7 +152,7 @@ class _Buffer:
             primitives=[gltf.Primitive(attributes=attributes, indices=indices, material=0)],
         )
 
-    def animation(self, motion: Motion, skeleton: Skeleton) -> Any:
+    def add_animation(self, motion: Motion, skeleton: Skeleton) -> Any:
         """Append an animation of all joints' rotations and the pelvis' path."""
         times = (np.arange(motion.frames) / motion.fps).astype(np.float32)
         clock = self.add(times, gltf.FLOAT, gltf.SCALAR)

@@ -103,7 +103,7 @@ class Limb:
         """Make a leg or arm of the rig, with the person's contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
-        # an arm's tip includes the forearm, which may be below the wrist of a hand on the ground
+        # an arm's tip begins at the elbow, as the forearm can be lower than a hand on the ground
         end = chain[1 if names == ARM else 2]
         tip = tuple(k for k in rig.rest if end in tree.path_to_root(k))
         return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)
@@ -125,11 +125,11 @@ class Limb:
         end, stands = posed[self.chain[2]][:, :3, 3], self.contacts.stands
         away = self._end_points(posed) - end[:, None]
         depth = away[..., 1].amin(1)
-        ours = self.contacts.steps * min(ratio, 1.0)
+        steps = self.contacts.steps * min(ratio, 1.0)
         # x and y of the person are x and -z of the scene
-        ours = torch.stack((ours[:, 0], -ours[:, 1]), -1)
+        steps = torch.stack((steps[:, 0], -steps[:, 1]), -1)
         moves = end.diff(dim=0) + steps_of_lowest_point(away, away[..., 1])
-        shift = _shifts_while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
+        shift = _shifts_while_standing(steps[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
         high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
         near = upper_envelope(stands.double(), fps)
         if not self.is_arm:
@@ -195,7 +195,7 @@ def steps_of_lowest_point(
 
 
 def upper_envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
-    """Return a smooth curve that is nowhere below `values`, and zero far from non-zero ones."""
+    """Return a smooth curve that is nowhere below `values`, and zero far from non-zero values."""
     reach = max(1, round(_EASE / 2 * fps))
     rows = values[None, None]
     high = torch.nn.functional.max_pool1d(

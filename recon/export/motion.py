@@ -142,8 +142,8 @@ def export_file(
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "
-            "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that the robot's loader poses, as betas of "
-            "the bundled body mean nothing on it"
+            "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that the robot's loader poses; betas of the "
+            "bundled body have no meaning on SMPL-X"
         )
     if (smpl is None) != (onto is None):
         raise ReconError(
@@ -230,10 +230,10 @@ def export_file(
 
 
 def _refuse_without_output(given: dict[str, bool], target: Path | None, name: str) -> None:
-    """Refuse options of an output if it is not written.
+    """Refuse options that belong to an output file which is not written.
 
     Raises:
         ReconError: naming the option.
     """
-    if target is None and (said := [one for one, by_user in given.items() if by_user]):
-        raise ReconError(f"--{said[0]} is an option of --{name} FILE, which was not given")
+    if target is None and (used := [one for one, by_user in given.items() if by_user]):
+        raise ReconError(f"--{used[0]} is an option of --{name} FILE, which was not given")

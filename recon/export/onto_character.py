@@ -82,7 +82,7 @@ def write_character(
             tracks.append((node, "translation", places.numpy()))
         tracks.append((node, "rotation", quaternions(local[:, None])[:, 0].numpy()))
     times = np.arange(motion.frames) / motion.fps
-    read.file.write_with(path, "motion", times, tracks, records)
+    read.file.write_with_animation(path, "motion", times, tracks, records)
     return AnimatedCharacter(
         read.bones.names_by_joint(read.tree.names), ratio, _warnings(read, motion)
     )
@@ -112,12 +112,12 @@ def retargeted_to_character(
     hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
     begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
     way = (begin + ratio * (person.middle - begin)) @ up.T
-    # where the person's soles are below the ground, the character is raised by as much
+    # where the person's soles are below the ground, the character is raised by that depth
     soles = torch.stack([one.contacts.height for one in legs]).amin(0)
     raised = ratio * upper_envelope((-soles).clamp(min=0.0), motion.fps)
     free = replace(free, hips=way - hips + raised[:, None] * _UP)
     carried, feet, hands = free, *({k for one in two for k in one.tip} for two in (legs, arms))
-    # raise the body where feet and hands are below the ground: first for both, then for feet alone
+    # parts below the ground raise the hips: first all but feet and hands, then also the hands
     for lifted in (feet | hands, feet, feet):
         skin = rig.points(
             rig.node_transforms(carried), [k for k in character.animated_nodes if k not in lifted]
@@ -176,7 +176,7 @@ def _poses_of_parent(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor
 
 
 def _translation_rotation_scale(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
-    """Split a matrix into translation, rotation and scale, as animations cannot move matrices."""
+    """Split a matrix into translation, rotation and scale, as glTF animates no matrices."""
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     turn = torch.from_numpy(matrix[:3, :3] / sizes)
     return {

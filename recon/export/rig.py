@@ -87,7 +87,7 @@ class CharacterRig:
 def node_rotations(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "time 3 3"]]:
-    """Return the world rotations since the rest pose that a motion gives to nodes, z up.
+    """Return each node's rotation from the rest pose in every frame of a motion; world, z up.
 
     A spine with another number of bones gets rotations interpolated along the body's spine.
     """
@@ -135,16 +135,16 @@ def _rotations_to_body_rest_pose(
     places = torch.from_numpy(character.rest_positions)
     offsets = dict(zip(HAND_JOINTS, finger_offsets(motion, body).double(), strict=False))
 
-    def turned_along(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
-        theirs = places[nodes[end]] - places[nodes[start]]
-        return so3.rotation_between(before @ theirs, way) @ before
+    def with_bone_aligned(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
+        bone = places[nodes[end]] - places[nodes[start]]
+        return so3.rotation_between(before @ bone, way) @ before
 
     for side in SIDES:
         for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
             turn = identity
             for start, end in pairwise(limb):
                 a, b = f"{side}_{start}", f"{side}_{end}"
-                turn = turned_along(a, b, ours[b] - ours[a], turn)
+                turn = with_bone_aligned(a, b, ours[b] - ours[a], turn)
                 found[nodes[a]] = turn
         fore = ours[f"{side}_wrist"] - ours[f"{side}_elbow"]
         elbow, wrist = nodes[f"{side}_elbow"], nodes[f"{side}_wrist"]
@@ -165,7 +165,7 @@ def _rotations_to_body_rest_pose(
             for k in (1, 2, 3):
                 a, b = f"{side}_{finger}{k}", f"{side}_{finger}{k + 1}"
                 if motion.hands is not None and a in nodes and b in nodes:
-                    turn = turned_along(a, b, offsets[b], turn)
+                    turn = with_bone_aligned(a, b, offsets[b], turn)
                 if a in nodes:
                     found[nodes[a]] = turn
     return found

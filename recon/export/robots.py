@@ -43,12 +43,12 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     if gender is None:
         raise ReconError(
             f"{smplx}: expected a name with NEUTRAL, FEMALE or MALE in it, as SMPL-X files have: "
-            "the loader chooses its file by the gender"
+            "programs for robots choose their body file by the gender in this name"
         )
     if (count := len(load_smpl(smplx).parents)) != _SMPLX_JOINTS:
         raise ReconError(
-            f"{smplx}: expected a SMPL-X body, which has {_SMPLX_JOINTS} joints, got {count}: the "
-            "programs of robots load SMPL-X"
+            f"{smplx}: expected a SMPL-X body, which has {_SMPLX_JOINTS} joints, got {count}: "
+            "programs for robots load no other bodies"
         )
     target = BodyModel.load(smplx)
     moved = motion_on_body(motion, body, target)
@@ -56,7 +56,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _amass_arrays(moved, target, _SMPLX_JOINTS, gender)
-    others = arrays["poses"][:, 3 * len(JOINTS) :]  # after the body's; jaw and eyes stay at rest
+    others = arrays["poses"][:, 3 * len(JOINTS) :]  # of jaw and eyes, which are at rest, and hands
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),

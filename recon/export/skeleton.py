@@ -49,7 +49,7 @@ class Skeleton:
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel) -> "Skeleton":
-        """Make the skeleton of one clip; its fingers at rest are flat, the skin's are relaxed."""
+        """Make the skeleton of one clip; finger joints are flat at rest, the skin is relaxed."""
         rest = body.rest_joints(motion.shape).detach().float().numpy()
         binds = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
         binds[:, :3, 3] = -rest

@@ -70,7 +70,7 @@ def write_storage(
     *,
     degrees: bool = False,
 ) -> None:
-    """Write columns over the motion's times as OpenSim's storage, or as CSV if the path says so.
+    """Write columns over the motion's times as OpenSim's storage, or as CSV to a path of .csv.
 
     Args:
         path: file to write; .csv has no header but the names of the columns.

@@ -84,8 +84,8 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) 
     root = pxr.UsdSkel.Root.Define(stage, "/person")
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
-    # the rest pose, in the world (bind) and relative to the parents (rest)
     skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joints))
+    # bind transforms are joints at rest in the world, rest transforms are relative to parents
     skeleton.CreateBindTransformsAttr(_usd_matrices(pxr, np.linalg.inv(bones.binds.astype(float))))
     apart = np.tile(np.eye(4), (len(joints), 1, 1))
     apart[:, :3, 3] = bones.offsets
@@ -98,7 +98,7 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) 
     _write_skin(
         pxr, mesh, skeleton, body, bones, body.rest_vertices(motion.shape).detach().cpu().numpy()
     )
-    # viewers need bounding boxes over time to show the body
+    # viewers show the body only inside a bounding box, here a cube of half size `reach`
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
     extent = root.CreateExtentAttr()

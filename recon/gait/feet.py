@@ -70,8 +70,8 @@ class Feet:
         """
         if body.checksum != BodyModel.load().checksum:
             raise ReconError(
-                f"gait analysis needs heels and toes, which only the bundled body has marked, not "
-                f"{body.name!r}: give a motion of the bundled body"
+                "gait analysis needs heels and toes, which are known only for the bundled body, "
+                f"not for {body.name!r}: give a motion of the bundled body"
             )
         posed = body.pose(motion.detach())
         times = motion.times.double().cpu()
@@ -154,11 +154,11 @@ def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
     count = len(feet.times)
     found = [stance for side in range(2) for stance in _stances_of_foot(feet, side)]
 
-    def first_frame_and_side(stance: GaitStance) -> tuple[int, Side]:
+    def time_and_side(stance: GaitStance) -> tuple[int, Side]:
         frames = stance.frames(count)
         return frames.start + frames.stop, stance.side
 
-    return tuple(sorted(found, key=first_frame_and_side))
+    return tuple(sorted(found, key=time_and_side))
 
 
 def _stances_of_foot(feet: Feet, side: int) -> list[GaitStance]:

@@ -140,11 +140,11 @@ class LaboratoryReport:
             FileExistsError: when a file is there and recon did not write it, unless `overwrite`.
             ValueError: when page and table would have one name, or matplotlib is not installed.
         """
-        said = {"versions": versions()} if report is None else report
+        content = {"versions": versions()} if report is None else report
         outputs = outputs_of(Path(path))
         check_outputs(outputs, overwrite=overwrite)
         page, table = self.page(), self.table()
-        with writing(*outputs, report=said, overwrite=overwrite) as staged:
+        with writing(*outputs, report=content, overwrite=overwrite) as staged:
             for file, text in zip(staged, (page, table), strict=True):
                 file.write_text(visible(text), encoding="utf-8")
 
@@ -339,8 +339,8 @@ def _cycle_rows(gait: Gait) -> Iterator[Row]:
     for side, number, cycle in numbered:
         values = [(name, unit, factor, value(cycle)) for name, unit, factor, value in FIGURES]
         for name, unit, factor, value in (*values, ("turn", "deg", 180 / np.pi, cycle.turn)):
-            told = None if value is None else factor * value
-            yield "cycle", name, side, number, None, cycle.strike, told, None, unit
+            scaled = None if value is None else factor * value
+            yield "cycle", name, side, number, None, cycle.strike, scaled, None, unit
 
 
 def _angle_rows(gait: Gait) -> Iterator[Row]:

@@ -60,15 +60,15 @@ def report(
         raise FormatError(
             f"{name}: unit, up, hand and mapping are options for recordings, not for motions"
         )
-    said = _report_of_source(source)
+    stored = _report_of_source(source)
     try:
         file = motion_given(source, model).file
     except FormatError as error:
         raise FormatError(
-            f"{error}; a report is made of recordings and motions: `recon fit` makes a motion of "
+            f"{error}; expected a recording or a motion: `recon fit` makes a motion of "
             "observations"
         ) from error
-    return _laboratory_report(name, file, model, said)
+    return _laboratory_report(name, file, model, stored)
 
 
 def _report_of_source(source: MotionLike) -> Mapping[str, Any]:
@@ -87,7 +87,7 @@ def _report_of_source(source: MotionLike) -> Mapping[str, Any]:
 
 
 def _laboratory_report(
-    name: str, file: MotionFile, body: BodyModel, said: Mapping[str, Any]
+    name: str, file: MotionFile, body: BodyModel, stored: Mapping[str, Any]
 ) -> LaboratoryReport:
     motion = file.motion
     belt = belt_velocity(motion, body, file.observed)
@@ -100,7 +100,7 @@ def _laboratory_report(
         observed=file.observed,
     )
     tall, heavy = body.height(motion.shape), body_weight(body, motion.shape)
-    decisions = (*said.get("decisions", ()), *said.get("read", ()))
+    decisions = (*stored.get("decisions", ()), *stored.get("read", ()))
     return LaboratoryReport(
         title=name,
         facts={
@@ -112,32 +112,32 @@ def _laboratory_report(
             **({} if belt is None else {"treadmill": f"{float(belt.norm()):.2f} m/s"}),
         },
         gait=gait,
-        residuals=_residuals_of_report(said),
-        warnings=tuple(_finding_messages(said, "warnings")),
-        repairs=tuple(_finding_messages(said, "repairs")),
-        notes=tuple(_finding_messages(said, "diagnosis")),
+        residuals=_residuals_of_report(stored),
+        warnings=tuple(_finding_messages(stored, "warnings")),
+        repairs=tuple(_finding_messages(stored, "repairs")),
+        notes=tuple(_finding_messages(stored, "diagnosis")),
         decisions=tuple(str(one) for one in decisions),
     )
 
 
-def _finding_messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
+def _finding_messages(stored: Mapping[str, Any], kind: str) -> Sequence[str]:
     """Messages of all findings of one kind, except residuals, which have plots."""
     return [
         str(one["message"])
-        for one in said.get(kind, ())
+        for one in stored.get(kind, ())
         if isinstance(one, Mapping) and "message" in one and one.get("code") != "residual"
     ]
 
 
-def _residuals_of_report(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
+def _residuals_of_report(stored: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
     """Residuals by point, from the report of a conversion or of a fit's sensors."""
     found: list[PointResiduals] = []
-    if isinstance(converted := said.get("residuals_mm"), Mapping):
+    if isinstance(converted := stored.get("residuals_mm"), Mapping):
         values = {name: float(value) for name, value in converted.items()}
         found.append(
             PointResiduals("markers or joints of the recording", "mm", values, "mean distance")
         )
-    for one in said.get("residuals", ()):
+    for one in stored.get("residuals", ()):
         scale, unit = (1000.0, "mm") if one["unit"] == "metres" else (1.0, str(one["unit"]))
         values = {
             name: scale * value for name, value in one["by_point"].items() if value is not None

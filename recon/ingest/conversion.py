@@ -217,7 +217,7 @@ def on_ground(
 def _ground_in_given_frame(
     given: Motion, moved: Motion, body: BodyModel
 ) -> tuple[float, float, float, float]:
-    """Return the ground z = 0 of a moved motion as a plane n·x = d of the motion as given."""
+    """Return the ground, which is z = 0 after a move, as a plane n·x = d before the move."""
     here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
     turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
     normal = turn[2]  # row 2 of a rotation is the vector that it maps to z

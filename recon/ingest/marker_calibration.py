@@ -103,14 +103,14 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
-        grown = energies.markers.jacobian_by_shape(poses, self.body)
-        weighted = (grown * weight[..., None, None]).flatten(1, 2)
+        by_shape = energies.markers.jacobian_by_shape(poses, self.body)
+        weighted = (by_shape * weight[..., None, None]).flatten(1, 2)
         border = jacobian.flatten(1, 2).mT @ weighted
         frames = len(value)
         count = frames * self.stature
-        corner = (grown.flatten(1, 2).mT @ weighted).sum(0)
+        corner = (by_shape.flatten(1, 2).mT @ weighted).sum(0)
         corner.diagonal().add_(2 * count)
-        slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * x.shape
+        slope = torch.einsum("tvdk,tdv->k", by_shape, force) + 2 * count * x.shape
         if energies.soles is not None:
             depth, pressed = energies.sole_heights(poses)
             lift = energies.soles.jacobian_by_shape(poses, self.body)[..., 2, :]
@@ -125,7 +125,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
             weighted = turns * weight[..., None, None]
             moved = (jacobian.mT @ weighted).transpose(1, 2).flatten(2)
             border = torch.cat((border, moved), -1)
-            beside = torch.einsum("tvdk,tvde->kve", grown, weighted).flatten(1)
+            beside = torch.einsum("tvdk,tvde->kve", by_shape, weighted).flatten(1)
             stiffness = frames * self.stiffness
             own = (weight.sum(0) + stiffness).repeat_interleave(3).diag()
             corner = torch.cat((torch.cat((corner, beside), 1), torch.cat((beside.mT, own), 1)))
@@ -144,7 +144,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         return torch.arange(len(self.poses.visible))
 
 
-def calibrated(
+def calibrated_frames(
     energies: SubjectEnergies,
     translation: Float[Tensor, "frames 3"],
     rotations: Float[Tensor, "frames 22 3 3"],

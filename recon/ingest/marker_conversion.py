@@ -17,11 +17,11 @@ from recon.diagnosis.movement import height_findings
 from recon.diagnosis.tracks import identity_changes
 from recon.ingest.conversion import Conversion, on_ground
 from recon.ingest.marker_exchanges import (
-    exchanged_throughout,
     pair_finding,
+    pairs_exchanged_throughout,
     side_pairs,
-    with_exchanged,
     with_exchanges_undone,
+    with_labels_exchanged,
 )
 from recon.ingest.marker_findings import (
     FAR,
@@ -168,9 +168,9 @@ def _left_out_finding(labels: list[str]) -> tuple[Finding, ...]:
     if not labels:
         return ()
     said = (
-        f"{listed(labels)}: left out, for most frames have them more than {100 * FAR:.0f} cm from "
-        "their places on the body; look for virtual points, exchanged labels and ghosts, or say "
-        "where they sit with --mapping"
+        f"{listed(labels)}: left out, since in most frames they are more than {100 * FAR:.0f} cm "
+        "from their places on the body; look for virtual points, exchanged labels and ghosts, or "
+        "say where they sit with --mapping"
     )
     return (Finding("outliers", said, tuple(labels), value=float(len(labels))),)
 
@@ -220,7 +220,7 @@ def _with_better_labels(
 ) -> tuple[MarkerRecording, Finding] | None:
     """Return the recording with labels that fit better, and a finding; None if none do."""
     labels = recording.marker_names
-    pairs = exchanged_throughout(
+    pairs = pairs_exchanged_throughout(
         labels,
         recording.positions,
         recording.visible,
@@ -228,8 +228,8 @@ def _with_better_labels(
     )
     sides = side_pairs(list(labels))
     choices = [
-        (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
-        (with_exchanged(recording, sides), _sides_finding()) if sides else None,
+        (with_labels_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
+        (with_labels_exchanged(recording, sides), _sides_finding()) if sides else None,
     ]
     sample = recording.evenly_spread(_TRIAL_FRAMES)
     limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)

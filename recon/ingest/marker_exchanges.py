@@ -80,7 +80,7 @@ def _stretch_findings(
     for pairs in groups.values():
         frames = stretches(wrong[pairs[0]])
         names = tuple(labels[k] for pair in pairs for k in pair)
-        sides = len(pairs) > 1 and all(mirrored(labels[a]) == labels[b] for a, b in pairs)
+        sides = len(pairs) > 1 and all(opposite_label(labels[a]) == labels[b] for a, b in pairs)
         what = " and ".join(f"{labels[a]} with {labels[b]}" for a, b in pairs[:3])
         more = f" and {len(pairs) - 3} pairs more" if len(pairs) > 3 else ""
         found.append(
@@ -96,7 +96,7 @@ def _stretch_findings(
     return found
 
 
-def exchanged_throughout(
+def pairs_exchanged_throughout(
     labels: Sequence[str],
     positions: Float[np.ndarray, "time markers 3"],
     visible: Bool[np.ndarray, "time markers"],
@@ -132,7 +132,7 @@ def exchanged_throughout(
     return chosen
 
 
-def with_exchanged(
+def with_labels_exchanged(
     recording: MarkerRecording, pairs: Sequence[tuple[int, int]]
 ) -> MarkerRecording:
     """Return the recording with the labels of given pairs of markers exchanged."""
@@ -149,7 +149,7 @@ def side_pairs(labels: Sequence[str]) -> list[tuple[int, int]]:
     return [
         (k, labels.index(other))
         for k, label in enumerate(labels)
-        if (other := mirrored(label)) in labels and k < labels.index(other)
+        if (other := opposite_label(label)) in labels and k < labels.index(other)
     ]
 
 
@@ -161,7 +161,7 @@ _SIDES = {
 _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
 
 
-def mirrored(label: str) -> str | None:
+def opposite_label(label: str) -> str | None:
     """Return a label's counterpart on the other side, LASI -> RASI; None if it names no side."""
     for one, other in _SIDES.items():
         if one in label:

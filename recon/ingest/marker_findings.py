@@ -50,16 +50,16 @@ def marker_findings(
     found: list[Finding] = []
     labels = recording.marker_names
 
-    def flagged(flags: np.ndarray) -> tuple[str, ...]:
+    def flagged_labels(flags: np.ndarray) -> tuple[str, ...]:
         return tuple(label for label, flag in zip(labels, flags, strict=True) if flag)
 
     if constant.any():
         found.append(
             Finding(
                 "constant point",
-                f"{listed(flagged(constant))} stay in one place in the room while the body moves; "
-                "they hardly count, but delete or relabel them",
-                flagged(constant),
+                f"{listed(flagged_labels(constant))} stay in one place in the room while the body "
+                "moves; they hardly count, but delete or relabel them",
+                flagged_labels(constant),
                 value=float(constant.sum()),
             )
         )
@@ -68,10 +68,10 @@ def marker_findings(
         found.append(
             Finding(
                 "outliers",
-                f"{listed(flagged(wild))} are more than {100 * FAR:.0f} cm from their place "
-                f"in up to {100 * _largest_share_far(far, seen, wild):.0f} % of their frames: "
+                f"{listed(flagged_labels(wild))} are more than {100 * FAR:.0f} cm from their "
+                f"place in up to {100 * _largest_share_far(far, seen, wild):.0f} % of frames: "
                 "look for exchanged labels, ghosts and loose markers",
-                flagged(wild),
+                flagged_labels(wild),
                 stretches(np.any(far[:, wild], axis=1)),
                 _largest_share_far(far, seen, wild),
             )
@@ -82,9 +82,9 @@ def marker_findings(
         found.append(
             Finding(
                 "offset point",
-                f"{listed(flagged(elsewhere))} sit up to {100 * most:.0f} cm from where their "
-                "names say: check the labels, or say where they sit with --mapping",
-                flagged(elsewhere),
+                f"{listed(flagged_labels(elsewhere))} sit up to {100 * most:.0f} cm from where "
+                "their names say: check the labels, or say where they sit with --mapping",
+                flagged_labels(elsewhere),
                 value=most,
             )
         )

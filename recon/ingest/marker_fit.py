@@ -18,8 +18,8 @@ from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies, calibrated
-from recon.ingest.marker_frames import repaired_frames, solved_singly, solved_together
+from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies, calibrated_frames
+from recon.ingest.marker_frames import fit_all_frames, fit_singly, repaired_frames
 from recon.ingest.marker_gaps import (
     interpolated_poses,
     joints_with_shown_rotation,
@@ -109,7 +109,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         energies = subject.for_body(found.shape, offsets)
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
-        motion = solved_singly(energies, keys, interpolated_poses(motion, chosen, keys))
+        motion = fit_singly(energies, keys, interpolated_poses(motion, chosen, keys))
         near_gaps = frames_about_gaps(visible, recording.fps) & shown
         if bool(near_gaps.any()):
             points = partial(SkinPoints.of, body, found.shape, subject.vertices)
@@ -117,7 +117,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
                 energies, points, offsets, bones, motion, keys, near_gaps
             )
         energies = energies.frames(placed)
-        motion = solved_together(energies, interpolated_poses(motion, keys, placed))
+        motion = fit_all_frames(energies, interpolated_poses(motion, keys, placed))
         motion, changed, unsupported = repaired_frames(
             energies, bones, lambda motion: body.pose(motion).joints, motion
         )
@@ -169,7 +169,7 @@ def subject_energies(
 
 
 def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> CalibratedFrames:
-    """Fit shape, marker offsets and the poses of some frames, without ties between these."""
+    """Fit shape, marker offsets and poses of some frames, without ties between these frames."""
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)
     start = rigid_start(
@@ -177,7 +177,7 @@ def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> Cali
         poses.visible > 0, fps=REFERENCE_FPS, start_time=0.0,
     )  # fmt: skip
     rotations = with_natural_pose(start.rotations)
-    return calibrated(replace(some, poses=poses), start.translation, rotations, OUTLIER)
+    return calibrated_frames(replace(some, poses=poses), start.translation, rotations, OUTLIER)
 
 
 def nominal_positions(

@@ -52,7 +52,7 @@ _STIFFER = (1e2, 1e3, 1e4)
 """Factors of the weight of joints' rotation from frame to frame, to spread a remaining jump."""
 
 
-def solved_singly(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+def fit_singly(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
     """Fit the poses of some frames independently of each other, from a rough guess.
 
     Args:
@@ -61,17 +61,17 @@ def solved_singly(energies: PoseEnergies, frames: Int[Tensor, " frames"], start:
         start: rough poses of these frames.
     """
     apart = energies.frames(frames).untied()
-    return solved_near(apart, solved_near(replace(apart, sigma=_WIDE), start, _ROUGH))
+    return fit_coarsely(apart, fit_coarsely(replace(apart, sigma=_WIDE), start, _ROUGH))
 
 
-def solved_near(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
+def fit_coarsely(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
     """Fit poses to a coarse tolerance, from a good guess."""
     poses_of = energies.poses_of(start.translation, start.rotations)
     found = minimise_frames(energies, poses_of, _solver_settings(energies, tolerance)).state
     return Motion.create(found.translation, found.rotations, start.shape, start.fps)
 
 
-def solved_together(energies: PoseEnergies, start: Motion) -> Motion:
+def fit_all_frames(energies: PoseEnergies, start: Motion) -> Motion:
     """Fit the poses of all frames, each tied to its neighbours in time, from a good guess.
 
     Long recordings are fitted part by part, tied to the frames before and after a part.
@@ -80,7 +80,7 @@ def solved_together(energies: PoseEnergies, start: Motion) -> Motion:
     settings = replace(_solver_settings(energies, _EXACT), stride=stride)
     motion = start
     for part in torch.arange(start.frames).split(_CHUNK):
-        motion = _with_frames_solved(energies, part, motion, settings)
+        motion = _with_frames_refitted(energies, part, motion, settings)
     return motion
 
 
@@ -113,21 +113,21 @@ def repaired_frames(
     def solved_again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
         # solve first without a robust kernel, which would ignore markers of wrongly turned limbs
         plain = replace(energies, sigma=None)
-        start = _with_frames_solved(plain, frames, start, _solver_settings(energies, _NEAR))
-        return _with_frames_solved(energies, frames, start, _solver_settings(energies, _EXACT))
+        start = _with_frames_refitted(plain, frames, start, _solver_settings(energies, _NEAR))
+        return _with_frames_refitted(energies, frames, start, _solver_settings(energies, _EXACT))
 
     def solved_with_stiffer_joints(
         frames: Int[Tensor, " frames"], start: Motion, turning: Float[Tensor, " 22"]
     ) -> Motion:
         stiff = replace(energies, turning=energies.turning * turning)
-        return _with_frames_solved(stiff, frames, start, _solver_settings(energies, _EXACT))
+        return _with_frames_refitted(stiff, frames, start, _solver_settings(energies, _EXACT))
 
     motion, changed = with_doubtful_frames_solved(motion, unsupported, residuals, solved_again)
     motion, spread = with_jumps_spread(motion, unsupported, solved_with_stiffer_joints)
     return motion, changed | spread, unsupported(motion)
 
 
-def _with_frames_solved(
+def _with_frames_refitted(
     energies: PoseEnergies,
     frames: Int[Tensor, " frames"],
     start: Motion,
@@ -159,10 +159,10 @@ def unsupported_steps(
     A marker is near a joint if it is on the joint's bone, its parent's or a child's. A step counts
     only where a near marker is visible at both ends. `limit` is in metres.
     """
-    of = torch.tensor(bones)
+    bone = torch.tensor(bones)
     parents = torch.tensor(PARENTS)
     near = torch.stack(
-        [(of == j) | (of == PARENTS[j]) | (parents[of] == j) for j in range(len(JOINTS))]
+        [(bone == j) | (bone == PARENTS[j]) | (parents[bone] == j) for j in range(len(JOINTS))]
     )
     both = (visible[1:] & visible[:-1])[:, None] & near
     steps = (positions[1:] - positions[:-1]).norm(dim=-1)[:, None]
@@ -277,10 +277,10 @@ def _fewer_unsupported_steps(before: Tensor, after: Tensor, _: slice, steps: sli
 
 
 def _fits_better(
-    before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
+    before: Tensor, after: Tensor, far: Tensor, new_far: Tensor, inside: slice, steps: slice
 ) -> bool:
     """Return whether poses are better: markers as near, fewer steps that no marker supports."""
-    old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
+    old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, new_far))
     same = int(after[steps].sum()) == int(before[steps].sum())
     better = _fewer_unsupported_steps(before, after, inside, steps) or (same and new < 0.9 * old)
     return new <= 1.02 * old + 1e-6 and better

@@ -69,9 +69,9 @@ class Naming:
         found, at = self._first_body()
         if found.cost > _NOWHERE:
             return
-        unknown, spread = found.body.usual_spread, found.body.spread
+        usual_spread, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
-        if unknown > _SURE:  # first learn shape and offsets, from frames near the one in `found`
+        if usual_spread > _SURE:  # first calibrate shape and offsets, in frames near the found one
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow_and_turn(found, at, near)
             self._name_tracks()
@@ -81,7 +81,7 @@ class Naming:
         body = found.body
         self._follow_and_turn(found, at, every)
         self._name_tracks()
-        if unknown > _SURE:
+        if usual_spread > _SURE:
             # better names give better offsets of this person's markers, which give better names
             for _ in range(_ROUNDS):
                 former = self.marker.copy()
@@ -97,13 +97,13 @@ class Naming:
         self._name_tracks()
 
     def _first_body(self) -> tuple[FoundBody, int]:
-        """Search the body in a few key frames; return the best fit and the number of its frame."""
+        """Search for the body in a few key frames; return the best fit and its frame's number."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
-        at = [int(part[counts[part].argmax()]) for part in parts]
-        # a first frame, in which people mostly stand, and a middle one, together to save time
-        starts = [at.pop(0), *at[len(at) // 2 :][:1]]
-        others = [k for k in at if k not in starts]
+        fullest = [int(part[counts[part].argmax()]) for part in parts]
+        # search first in an early frame, as people mostly stand then, and at once in a middle one
+        starts = [fullest.pop(0), *fullest[len(fullest) // 2 :][:1]]
+        others = [k for k in fullest if k not in starts]
         found: list[tuple[FoundBody, int]] = []
         for some, effort, least in (
             (starts, 1, 1.0), (others, 1, _TOLERABLE), ([*starts, *others], 3, np.inf)
@@ -124,9 +124,9 @@ class Naming:
         """
         numbers = {name: k for k, name in enumerate(self.bodies[0].markers.labels)}
         given = np.array([numbers.get(name, -1) for name in self.seen.marker_names])
-        said = given[self.track[self.keys[at]] >= 0]
-        held = (said >= 0) & (found.marker >= 0)
-        against = float((said != found.marker)[held].mean()) if held.any() else 0.0
+        named = given[self.track[self.keys[at]] >= 0]
+        both = (named >= 0) & (found.marker >= 0)
+        against = float((named != found.marker)[both].mean()) if both.any() else 0.0
         return (found.rank + against) / (_GOOD + _GOOD_PER_METRE * found.body.usual_spread)
 
     def _points_and_tracks(self, at: int) -> tuple[np.ndarray, np.ndarray]:
@@ -155,9 +155,9 @@ class Naming:
         """Fit poses from one key frame onwards, and sum the log odds of the tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
-        ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
-        for some in ([at], *([k for k in both if k is not None] for both in ways)):
-            # fit two frames at once, which takes as long as one, each from its neighbour's pose on
+        pairs = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
+        for some in ([at], *([k for k in both if k is not None] for both in pairs)):
+            # fit up to two frames at once, as fast as one; each starts at its neighbour's pose
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
             known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]
@@ -180,7 +180,7 @@ class Naming:
 
     def _calibrated_body(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
         """Return the body with shape and marker offsets fitted to named markers of key frames."""
-        x, seen = self.named(self.keys)
+        x, seen = self.named_points(self.keys)
         parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
         some = np.array([part[seen[part].sum(1).argmax()] for part in parts])
         poses = body.posed(self._translation[some], self._rotations[some])
@@ -239,7 +239,7 @@ class Naming:
         ends = np.cumsum(np.bincount(numbers, minlength=len(self.marker)))[:-1]
         return np.split(rows[order], ends)
 
-    def named(self, frames: Int[np.ndarray, " frames"]) -> tuple[np.ndarray, np.ndarray]:
+    def named_points(self, frames: Int[np.ndarray, " frames"]) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (m) of named markers in some frames, and a mask of those visible."""
         shape = len(frames), self._sum.shape[1]
         x, seen = np.zeros((*shape, 3)), np.zeros(shape, bool)
@@ -250,10 +250,10 @@ class Naming:
         return x, seen
 
     def _sum_log_odds_again(self, body: MarkedBody, scored: MarkedBody) -> None:
-        """Pose `body` by the named markers; sum log odds of tracks anew by markers of `scored`."""
+        """Fit poses of `body` to named markers; sum log odds anew by the markers of `scored`."""
         from scipy.interpolate import CubicSpline
 
-        x, seen = self.named(self.keys)
+        x, seen = self.named_points(self.keys)
         poses = body.posed(self._translation, self._rotations)
         poses = minimise_frames(body.energies(x, seen), poses, _FIT).state
         self._translation, self._rotations = poses.translation, poses.rotations
@@ -311,6 +311,6 @@ def _log_odds_of_points(
 def _log_odds(
     away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
-    """Return log odds of a normal density of distances against one point per cubic metre."""
+    """Return log odds that points are markers (normal density), not strays (one per m³)."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
     return np.maximum(near, _LEAST)

@@ -21,7 +21,7 @@ from recon.body.derivatives import inverse_right_jacobian
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.ingest.marker_frames import solved_near
+from recon.ingest.marker_frames import fit_coarsely
 from recon.ingest.marker_gaps import interpolated_poses, widened_flags, with_poses
 from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.method.protocols import REFERENCE_FPS
@@ -89,14 +89,14 @@ def fitted_about_gaps(
         return energies, offsets, motion, keys
     some, step = energies.frames(sampled), stride / motion.fps
     moments = (sampled - sampled[0]) // stride
-    found = solved_near(some, interpolated_poses(motion, keys, sampled))
+    found = fit_coarsely(some, interpolated_poses(motion, keys, sampled))
     hidden = (some.visible == 0) & (some.visible > 0).any(0)
     for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
         some = _tied_energies(some, found, moments, step)
         change = _offset_changes(some, found, bones)
         offsets = offsets + change
         some = replace(some, markers=points(offsets))
-        found = solved_near(some, found)
+        found = fit_coarsely(some, found)
         if float(change.norm(dim=-1).mean()) < _STILL:
             break
     some = _tied_energies(some, found, moments, step)

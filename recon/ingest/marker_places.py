@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.ingest.marker_calibration import calibrated
+from recon.ingest.marker_calibration import calibrated_frames
 from recon.ingest.marker_fit import OUTLIER, fit_markers, subject_energies
 from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, drawn_poses, natural_pose
 from recon.ingest.marker_sets import MarkerSet, full_body_markers
@@ -97,7 +97,7 @@ class MarkedBody:
         some = subject_energies(self._recording(positions, visible), self.markers, self.body)
         free = replace(some.poses.untied(), weight=1.0)
         known = replace(some, under=None, poses=free)
-        found = calibrated(known, poses.translation, poses.rotations, OUTLIER)
+        found = calibrated_frames(known, poses.translation, poses.rotations, OUTLIER)
         spread = np.where(visible.any(0), _KNOWN, self.spread)
         return replace(self, shape=found.shape, offsets=found.offsets, spread=spread)
 

@@ -71,13 +71,13 @@ class PoseBlendShapes(TensorStruct):
 
     def displacements(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
         """Return the displacements of the points in given poses; world axes, metres."""
-        return (self._blended_rotations(poses) @ self._in_bone_frames(poses)[..., None])[..., 0].mT
+        return (self._blended_rotations(poses) @ self._local_offsets(poses)[..., None])[..., 0].mT
 
     def gradient_by_rotations(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Return derivatives of Σ forces · displacements by the coordinates of a step."""
-        loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._in_bone_frames(poses))
+        loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._local_offsets(poses))
         bones = poses.orientations.transpose(1, 2)
         turns = sums_over_descendants(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
         local = (self._blended_rotations(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
@@ -86,7 +86,7 @@ class PoseBlendShapes(TensorStruct):
         turns = turns + flat_world_vectors(pad(bent, (0, 0, 1, 0)), poses.orientations)
         return pad(turns, (3, 0))
 
-    def _in_bone_frames(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
+    def _local_offsets(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
         body = poses.rotations[:, 1:] - torch.eye(3).to(poses.rotations)
         return (body.flatten(1) @ self.directions).unflatten(-1, (-1, 3))
 
@@ -210,7 +210,7 @@ class PoseEnergies(TiedFrames[Poses]):
     """Scale of Geman and McClure's kernel, metres; None is least squares."""
 
     @property
-    def stiffness(self) -> Float[Tensor, " 69"]:
+    def tie_stiffness(self) -> Float[Tensor, " 69"]:
         """Second derivatives of a tie by the coordinates of a step; zero for translations."""
         return torch.cat((self.turning.new_zeros(3), self.turning.repeat(3)))
 
@@ -274,7 +274,7 @@ class PoseEnergies(TiedFrames[Poses]):
             )
         return self.weight * out
 
-    def have_same_data_kind(
+    def can_share_hessian(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Return which pairs of frames show the same markers, so that they can share a Hessian."""

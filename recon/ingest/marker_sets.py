@@ -44,7 +44,7 @@ def keypoint_places(
     offsets: list[Tensor] = []
     for label, name in zip(labels, keypoints_of_labels(labels), strict=True):
         if name is None or name not in PLACES:
-            raise ReconError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
+            raise ReconError(f"{label!r} is no keypoint; known are {', '.join(PLACES)}")
         place = PLACES[name]
         points = [body.joint_template[joint_index(joint)] for joint in place.joints]
         points += [body.template[landmark(one)] for one in place.landmarks]
@@ -133,7 +133,7 @@ def full_body_markers(
         for marker, label in enumerate(recording.marker_names)
         if recording.visible[:, marker].any()
     ]
-    # OpenCap's files hold keypoints and also markers that a network computed from them
+    # OpenCap's files have keypoints, and markers computed from these, named with `_study`
     study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
     if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
         return _marker_set_of_keypoints(seen, body)
@@ -168,7 +168,7 @@ def markers_at(
         vertices=places,
         loose=tuple(loose[label] for label in vertices),
         nominal=nominal_offsets(body, places),
-        bones=_bones(places, body),
+        bones=_bones_of_vertices(places, body),
         unknown=(),
     )
 
@@ -188,8 +188,8 @@ def markers_of_set(name: str | Path, body: BodyModel) -> MarkerSet:
         vertices = {label: vertex for label, vertex in given.items() if vertex is not None}
     else:
         raise ReconError(
-            f"{name}: expected one of the marker sets {', '.join(marker_sets())}, or a file .toml "
-            "or .json, marker = landmark"
+            f"{name}: expected one of the marker sets {', '.join(marker_sets())}, or a .toml "
+            "or .json file with lines marker = landmark"
         )
     if len(vertices) < FEWEST_MARKERS:
         raise ReconError(
@@ -219,7 +219,7 @@ def right_handed_markers(
 def _labels_of_one_subject(
     recording: MarkerRecording, seen: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Return the labels of the person seen most, if some name others (Ann:LASI, Bob:LASI)."""
+    """Return labels without those of all but the most seen person (Ann:LASI, Bob:LASI)."""
     shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
     counts: dict[str, int] = {}
     for label in seen:
@@ -247,13 +247,13 @@ def _marker_set_of_keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSe
         # detectors place joints some centimetres away from the body model's joints
         loose=(True,) * len(known),
         nominal=nominal,
-        bones=_bones(vertices, body),
+        bones=_bones_of_vertices(vertices, body),
         unknown=tuple(label for label in labels if label not in known),
         inside=True,
     )
 
 
-def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
+def _bones_of_vertices(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
     return tuple(body.weights[list(vertices)].argmax(-1).tolist())
 
 
@@ -265,7 +265,7 @@ def _parts_without_markers(
     Raises:
         ValueError: when the markers cover neither both legs and the pelvis nor the trunk.
     """
-    bones = _bones(vertices.values(), body)
+    bones = _bones_of_vertices(vertices.values(), body)
     parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
     for side in ("left", "right"):
         knee = joint_index(f"{side}_knee")

@@ -128,7 +128,7 @@ def with_limb_turned(
         own[:, j] = own[:, j] @ so3.exp(angle * torch.eye(3)[axis])
     state = body.posed(poses.translation.repeat(len(turns), 1), rotations.flatten(0, 1))
     found, ranks = _fits_to_all(body, state, clouds, range(_CLOSE, _CLOSE + 1))
-    likely = [0, *(1 + np.argsort(ranks[1:])[:_FINISHED]).tolist()]  # 0: nothing is turned
+    likely = [0, *(1 + np.argsort(ranks[1:])[:_FINISHED]).tolist()]  # 0: no limb turned
     state = concatenate([one.pose for k in likely for one in found[k]])
     found, ranks = _fits_to_all(body, state, clouds, range(_CLOSE + 1, len(_REACH)))
     best = int(ranks.argmin())

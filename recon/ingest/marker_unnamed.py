@@ -97,7 +97,7 @@ def named_tracks(
     bodies: list[MarkedBody],
     like: str,
 ) -> Naming:
-    """Name the tracks of points of a recording, by that of several bodies that fits them best.
+    """Name a recording's tracks of points by the markers of the best fitting of some bodies.
 
     Args:
         seen: the recording.
@@ -122,7 +122,7 @@ def named_tracks(
 def _recording_of_named(naming: Naming, like: str) -> MarkerRecording:
     """Return a recording of the named markers alone, with a note on the share of other points."""
     seen, names = naming.seen, naming.bodies[0].markers.labels
-    x, visible = naming.named(np.arange(seen.frames))
+    x, visible = naming.named_points(np.arange(seen.frames))
     share = visible.sum() / seen.visible.sum()
     said = (
         f"points without names: {100 * share:.0f} % are markers of a body, found by {like}; the "

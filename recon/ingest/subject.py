@@ -91,7 +91,7 @@ class CalibrationWeights:
     """Weights of the calibration's energies relative to ½ Σ distance² of joints, metres²."""
 
     shape: float = 6e-5
-    """Weight per frame of the squared shape coefficients: one of 1 costs as 2 mm at all joints."""
+    """Weight per frame of squared shape coefficients; 1 costs as much as 2 mm at all joints."""
     offsets: float = 0.15
     """Weight per frame of offsets, relative to that of the same distance as an error."""
     feet_offsets: float = 3.0

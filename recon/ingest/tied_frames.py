@@ -40,7 +40,7 @@ class TiedFrames(ABC, Generic[S]):
 
     @property
     @abstractmethod
-    def stiffness(self) -> Float[Tensor, " n"]:
+    def tie_stiffness(self) -> Float[Tensor, " n"]:
         """Second derivatives (diagonal) of a tie by the variables of one of its two frames."""
 
     @abstractmethod
@@ -54,7 +54,7 @@ class TiedFrames(ABC, Generic[S]):
         """Return the Gauss-Newton Hessians of some frames, without ties; positive semidefinite."""
 
     @abstractmethod
-    def have_same_data_kind(
+    def can_share_hessian(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Return which pairs of frames have the same kind of data, so can share a Hessian."""
@@ -142,7 +142,7 @@ def minimise_frames(
     while len(rows) > 0 and iterations < settings.max_iterations:
         iterations += 1
         down = -(gradient[rows] + pull[rows])
-        ties = Ties(energies.stiffness, (rows.diff() == 1) & energies.linked[rows[:-1]])
+        ties = Ties(energies.tie_stiffness, (rows.diff() == 1) & energies.linked[rows[:-1]])
         steps = solve_tied(
             curvatures.of_frames(rows),
             ties,
@@ -156,14 +156,14 @@ def minimise_frames(
         values, slopes = energies.energies_and_gradients(tried, rows)
         ends, pulls = energies.tie_energies(tried)
         # a frame's step is judged as if its neighbours, to which it is tied, did not move
-        times_vector = pull[rows] + energies.stiffness * steps - 0.5 * ties.times_vector(steps)
+        times_vector = pull[rows] + energies.tie_stiffness * steps - 0.5 * ties.times_vector(steps)
         change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
         rising = (change > rounding * scale).nonzero()[:, 0]
         size = curvatures.half_squared_length(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # rejected frames keep their state, which changes the energies of ties to neighbours
+            # move accepted frames only: ties to rejected ones, which stay, have other energies
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tie_energies(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()
@@ -225,11 +225,11 @@ class _HessianFactors:
     ) -> None:
         """Compute the factors of some frames anew; up to `stride` similar frames share one."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
-        self.owner[rows] = middle.where(energies.have_same_data_kind(rows, middle), rows)
+        self.owner[rows] = middle.where(energies.can_share_hessian(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
             curvature = energies.curvature(state, some)
             diagonal = curvature.diagonal(dim1=1, dim2=2)
-            diagonal += 2 * energies.stiffness
+            diagonal += 2 * energies.tie_stiffness
             diagonal *= 1 + damping[some, None]
             self.factors[some] = torch.linalg.cholesky_ex(curvature).L
             self.count += len(some)

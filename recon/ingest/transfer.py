@@ -35,7 +35,7 @@ _FACING = 0.3
 _SURFACE_OPTIONS = GaussNewton(ROUNDS, tolerance=1e-6, scale=1.0, damping=0.0)
 """Settings of the fit to a surface; it ends when the energy falls by less than 1e-6 metres²."""
 _JOINT_OPTIONS = GaussNewton(6, tolerance=0.0, damping=0.0)
-_JOINTS_WEIGH = 10.0
+_JOINT_WEIGHT = 10.0
 _POINTS = 1000
 """Approximate number of vertices of either surface that are compared."""
 _TURNS = slice(3, 3 + 3 * len(JOINTS))
@@ -86,12 +86,12 @@ def aligned_at_rest(
         count: number of the target's first shape coefficients that are found; None is all.
     """
     rest = body.rest_vertices(shape).numpy()
-    met = _Surface(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
+    surface = _Surface(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
     shapes = target.shape_size if count is None else count
     state = torch.zeros(_TURNS.stop + shapes, dtype=torch.float64)
     joints = body.rest_joints(shape)[list(_LIMBS)]
     state, _ = minimise(_Alignment(target, joints), state, _JOINT_OPTIONS)
-    state, _ = minimise(_Alignment(target, met), state, _SURFACE_OPTIONS)
+    state, _ = minimise(_Alignment(target, surface), state, _SURFACE_OPTIONS)
     turns = state[_TURNS].unflatten(0, (len(JOINTS), 3))
     return AlignedBody(state[_TURNS.stop :], turns, state[:3])
 
@@ -198,7 +198,7 @@ class _Alignment(Problem[Tensor]):
         if isinstance(self.goal, Tensor):
             here, slopes = _points_and_derivatives(self.target, x, None)
             away = (here - self.goal).flatten()
-            return slopes.flatten(0, 1), away, torch.full_like(away, _JOINTS_WEIGH)
+            return slopes.flatten(0, 1), away, torch.full_like(away, _JOINT_WEIGHT)
         every = torch.arange(len(self.target.template))
         here = _posed_with_states(self.target, x[None]).points(every)[0, 0].numpy()
         pairs = self.goal.pairs(here, self.target.faces.numpy())
@@ -293,7 +293,7 @@ def _fit_to_skin(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
 def carried_rotations(
     motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
-    """Return joint rotations and translation of the target with the first body's bone motion."""
+    """Return rotations and translation by which the target's bones turn as the first body's."""
     posed = body.pose(motion)
     world = posed.orientations @ rest.orientations
     local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)

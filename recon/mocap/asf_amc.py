@@ -22,7 +22,7 @@ from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
     posed_skeleton,
-    settle_skeleton,
+    skeleton_in_metres,
 )
 
 CMU_RATE = 120.0
@@ -37,7 +37,7 @@ class _Bone:
     direction: np.ndarray
     """Vector from the near to the far end, in the file's unit."""
     axis: np.ndarray
-    """C, 3 x 3."""
+    """Matrix C (3 x 3) of the axes about which the bone's angles turn."""
     channels: tuple[str, ...]
     """rx ry rz (tx ty tz for the root), in the order of the motion's numbers."""
 
@@ -66,8 +66,8 @@ def read_amc(
         path: of the motion.
         skeleton: of the .asf; None looks beside the motion (see `find_skeleton`).
         fps: frames per second, which the format leaves out.
-        unit: see `settle_skeleton`.
-        up: see `settle_skeleton`; by custom y.
+        unit: see `skeleton_in_metres`.
+        up: see `skeleton_in_metres`; by custom y.
 
     Raises:
         FileNotFoundError: when the motion or a skeleton is not there.
@@ -80,7 +80,7 @@ def read_amc(
     recording = _recording_of(tree, motion, degrees, path.name, fps)
     said = (f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file")
     recording = replace(recording, decisions=said)
-    return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared)
+    return skeleton_in_metres(recording, unit=unit, up=up, declared=tree.declared)
 
 
 def find_skeleton(path: Path) -> Path:
@@ -143,7 +143,7 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
             if word not in bones:
                 raise FormatError(f"{name}: the hierarchy names {word!r}, which is no bone")
         if words[0] != "root" and words[0] not in parents:
-            raise FormatError(f"{name}: expected {words[0]!r} below the root before its children")
+            raise FormatError(f"{name}: the hierarchy gives {words[0]!r} children before a parent")
         for child in words[1:]:
             if child in parents or child == "root":
                 raise FormatError(f"{name}: the hierarchy names {child!r} twice")
@@ -219,7 +219,7 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
         if len(rows) > JOINTS.high:
             JOINTS.check(len(rows), name)
     if frames == 0 or "root" not in rows:
-        raise FormatError(f"{name}: expected an AMC motion, frames with a line for the root")
+        raise FormatError(f"{name}: expected an AMC motion, each frame with a line for the root")
     SAMPLES.check(frames * len(rows), name)
     arrays: dict[str, np.ndarray] = {}
     for bone, (values, lengths) in rows.items():
@@ -266,7 +266,7 @@ def _recording_of(
 def _bone_motion(
     bone: _Bone, values: np.ndarray, degrees: bool, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation C M C^-1 and translation of a bone; length changes (`l`) are ignored."""
+    """Return a bone's rotation C M C^-1 (C axes, M angles) and translation; ignore lengths."""
     if values.shape[1] != len(bone.channels):
         raise FormatError(
             f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "

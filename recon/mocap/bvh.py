@@ -21,7 +21,7 @@ from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
     posed_skeleton,
-    settle_skeleton,
+    skeleton_in_metres,
     stated_rate,
 )
 
@@ -91,7 +91,7 @@ def parse_bvh(
 ) -> SkeletonRecording:
     """Parse the text of a BVH file, as `read_bvh` does."""
     text = with_decimal_points(text, _DECIMAL_COMMA)
-    # a joint's lines take some hundred characters, so MOTION must come early
+    # search for MOTION only as far as joints can reach: each takes less than 1000 characters
     if (middle := _MOTION.search(text, 0, int(1000 * JOINTS.high))) is None:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
     joints = parse_hierarchy(text[: middle.start()], name)
@@ -108,7 +108,7 @@ def parse_bvh(
         fps=fps,
         decisions=(said,),
     )
-    return restore_lost_bones(settle_skeleton(raw, unit=unit, up=up))
+    return restore_lost_bones(skeleton_in_metres(raw, unit=unit, up=up))
 
 
 def parse_hierarchy(head: str, name: str) -> list[_Joint]:

@@ -16,7 +16,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
 from recon.core.units import Up, parse_unit
 from recon.formats.texts import read_binary
-from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
+from recon.mocap.recording import MarkerRecording, markers_in_metres, stated_rate
 
 BLOCK = 512
 INTEL, DEC, MIPS = 84, 85, 86
@@ -102,7 +102,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     raw = replace(raw, start_time=(first - 1) / raw.fps)
     units = texts(point, "UNITS")
     declared = parse_unit(" ".join(units if header.points else units[:1]))
-    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=usual)
+    return markers_in_metres(raw, unit=unit, up=up, declared=declared, usual_up=usual)
 
 
 def _read_markers(

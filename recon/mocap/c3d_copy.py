@@ -42,7 +42,7 @@ def write_renamed_c3d(
     header = c3d.read_header(data, source)
     groups = c3d.read_parameters(data, header)
     if "ROTATION" in groups:
-        raise FormatError(f"{source}: a C3D file with rotations is not copied; write .trc or .csv")
+        raise FormatError(f"{source}: cannot rename a C3D file of rotations; write .trc or .csv")
     old, chosen = c3d.chosen_points(header, groups)
     kept = [k for k in range(header.points) if k not in set(chosen)]
     new = [*names, *(old[k] for k in kept)]

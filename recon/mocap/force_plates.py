@@ -106,7 +106,7 @@ class _Plate:
 
 
 def _wrench(
-    analog: AnalogChannels, k: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
+    analog: AnalogChannels, plate: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
 ) -> Float[np.ndarray, "time 9"]:
     """Return force, moment at the plate's origin, and moment to add at its surface; N, N m.
 
@@ -117,7 +117,7 @@ def _wrench(
         raise FormatError(f"expected a plate of type 1 to 4, got type {kind}")
     plates = len(analog.numbers("FORCE_PLATFORM", "TYPE", -1))
     channels = analog.numbers("FORCE_PLATFORM", "CHANNEL", plates, -1).astype(int) - 1
-    rows = channels[k, : _CHANNELS[kind]] if len(channels) > k else np.zeros(0, int)
+    rows = channels[plate, : _CHANNELS[kind]] if len(channels) > plate else np.zeros(0, int)
     if len(rows) < _CHANNELS[kind] or not 0 <= rows.min() <= rows.max() < analog.values.shape[-1]:
         raise FormatError("the file lacks the plate's channels")
     values = _frame_means(analog, rows)
@@ -128,9 +128,9 @@ def _wrench(
     surface = -origin if origin[2] > 0 else origin
     if kind == 4:
         matrix = analog.numbers("FORCE_PLATFORM", "CAL_MATRIX", -1, 6, 6)
-        if len(matrix) <= k:
-            raise FormatError("its calibration matrix is missing")
-        values = values @ matrix[k]
+        if len(matrix) <= plate:
+            raise FormatError("the file lacks the plate's calibration matrix")
+        values = values @ matrix[plate]
     if kind == 3:
         a, b = np.abs(origin[:2])
         x12, x34, y14, y23, z1, z2, z3, z4 = values.T

@@ -23,7 +23,7 @@ from recon.formats.text_tables import (
     with_missing_frames,
 )
 from recon.formats.texts import decoded_text, read_bytes
-from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
+from recon.mocap.recording import MarkerRecording, markers_in_metres, stated_rate
 
 
 def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
@@ -153,7 +153,7 @@ def _recording_in_metres(
         decisions=(said, *notes, *missing),
         start_time=float(times[0]) if np.isfinite(times[0]) else 0.0,
     )
-    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
+    return markers_in_metres(raw, unit=unit, up=up, declared=declared, usual_up=custom)
 
 
 _HEADER = 5
@@ -212,7 +212,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         start_time=float(times[0]),
     )
     declared = parse_unit(header.get("Units", ""))
-    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
+    return markers_in_metres(raw, unit=unit, up=up, declared=declared, usual_up=custom)
 
 
 def _labels(line: str) -> list[str]:
@@ -230,7 +230,7 @@ def _labels(line: str) -> list[str]:
 def _parse_table(
     lines: list[str], markers: int, name: str, notes: list[str]
 ) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time markers 3"], int]:
-    """Return frame numbers and times, coordinates, and the number of further number columns."""
+    """Return frame numbers and times, coordinates, and how many more columns hold numbers."""
     width = 2 + 3 * markers
     JOINTS.check(markers, name, "line 4")
     SAMPLES.check(max(len(lines), 1) * markers, name)

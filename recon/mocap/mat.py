@@ -13,12 +13,12 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, JOINTS, SAMPLES
 from recon.core.units import Up
 from recon.formats.opening import existing_file
-from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
+from recon.mocap.recording import MarkerRecording, markers_in_metres, stated_rate
 
 _READER = Path(__file__).with_name("mat_process.py")
 _ONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Threads of algebra, of which reading needs none, take memory by their number."""
-_PATIENCE = 120.0
+_TIMEOUT_S = 120.0
 """Seconds that reading may take; `mat_process` ends sooner when it computes all the time."""
 
 
@@ -36,7 +36,7 @@ def read_mat(
     if not found:
         raise FormatError(
             f"{path}: expected a struct with data, markerName and freq, as the MoCap Toolbox has; "
-            "from Qualisys, MoVi and other programs export or take C3D or TSV instead"
+            "instead of .mat files of Qualisys, MoVi and others, give their C3D or TSV files"
         )
     if variable is None and len(found) == 1:
         variable = found[0]
@@ -63,7 +63,7 @@ def read_mat(
         fps=fps,
         decisions=(said,),
     )
-    return settle_markers(raw, unit=unit, up=up, usual_up="z")
+    return markers_in_metres(raw, unit=unit, up=up, usual_up="z")
 
 
 def _read_in_other_process(path: Path) -> dict[str, np.ndarray]:
@@ -71,7 +71,7 @@ def _read_in_other_process(path: Path) -> dict[str, np.ndarray]:
     command = [sys.executable, "-P", str(_READER), str(path)]
     try:
         done = subprocess.run(
-            command, capture_output=True, timeout=_PATIENCE, check=True, env=os.environ | _ONE
+            command, capture_output=True, timeout=_TIMEOUT_S, check=True, env=os.environ | _ONE
         )
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
             return dict(file)

@@ -15,7 +15,7 @@ MEMORY, SECONDS = 3 << 29, 15
 FIELDS = ("data", "markerName", "freq")
 
 
-def collect(path: str) -> dict[str, np.ndarray]:
+def fields_of_recordings(path: str) -> dict[str, np.ndarray]:
     """Read the fields of every recording in a file, keyed as NAME/FIELD."""
     from scipy.io import loadmat
 
@@ -46,6 +46,6 @@ def limit_memory() -> None:
 if __name__ == "__main__":
     limit_memory()
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = collect(sys.argv[1])
+    arrays: dict[str, Any] = fields_of_recordings(sys.argv[1])
     np.savez(buffer, allow_pickle=False, **arrays)
     sys.stdout.buffer.write(buffer.getvalue())

@@ -111,9 +111,9 @@ def read_member(
     if member is None and len(seen) == 1:
         name, text = seen.popitem()
         return parse_bvh(text, name, unit=unit, up=up)
-    some = ", ".join([*list(seen)[:3], "..."] if seen else ["none"])
+    recordings = ", ".join([*list(seen)[:3], "..."] if seen else ["none"])
     raise FormatError(
-        f"{path}: expected BVH files, one of which is chosen as {path.name}::NAME; it holds {some}"
+        f"{path}: expected BVH files, one chosen as {path.name}::NAME; it holds {recordings}"
     )
 
 
@@ -140,7 +140,7 @@ def known_skeletons() -> Mapping[str, SkeletonTable]:
 
 
 def skeleton_among(names: Sequence[str], source: str) -> str:
-    """Return the name of the largest known skeleton whose joints a recording has all.
+    """Return the name of the largest known skeleton of which a recording has all joints.
 
     Args:
         names: of the joints of a recording.
@@ -165,7 +165,7 @@ def skeleton_among(names: Sequence[str], source: str) -> str:
     joints = ", ".join(name for name in names if not name.endswith("_end"))
     raise FormatError(
         f"{source}: its skeleton is none of {', '.join(known_skeletons())}; its joints are "
-        f"{joints}. Say which are ours in a TOML file, with lines like "
+        f"{joints}. Name recon's joints among them in a TOML file, with lines like "
         f'left_knee = "LeftLeg" under [joints], for pelvis, {", ".join(NEEDED)} and whichever of '
         "left_foot, right_foot, neck, head, spine1, spine2 and spine3 there are, and give it with "
         "--mapping"

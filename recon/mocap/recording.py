@@ -138,7 +138,7 @@ class MarkerRecording:
         )
 
 
-def settle_skeleton(
+def skeleton_in_metres(
     raw: SkeletonRecording,
     *,
     unit: str | None,
@@ -180,7 +180,7 @@ def settle_skeleton(
     )
 
 
-def settle_markers(
+def markers_in_metres(
     raw: MarkerRecording,
     *,
     unit: str | None,
@@ -188,16 +188,16 @@ def settle_markers(
     declared: str | None = None,
     usual_up: Up | None = None,
 ) -> MarkerRecording:
-    """Convert markers to metres and z up, as `settle_skeleton` does.
+    """Convert markers to metres and z up, as `skeleton_in_metres` does.
 
     A marker that is not finite, or lies exactly at the origin, is not visible. Labels that repeat
     are numbered (RKNE, RKNE#2).
 
     Args:
         raw: as in the file.
-        unit: as in `settle_skeleton`.
-        up: as in `settle_skeleton`.
-        declared: as in `settle_skeleton`.
+        unit: as in `skeleton_in_metres`.
+        up: as in `skeleton_in_metres`.
+        declared: as in `skeleton_in_metres`.
         usual_up: axis that the file hints at, or the custom of its format.
 
     Raises:

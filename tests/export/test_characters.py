@@ -158,7 +158,7 @@ def test_a_gltf_beside_its_data_becomes_one_file(motion, body, tmp_path):
     np.testing.assert_array_equal(read.world, again.world)
     document["buffers"][0]["uri"] = "../secret.bin"
     (tmp_path / "c.gltf").write_text(json.dumps(document))
-    with pytest.raises(ReconError, match="expected files in the same folder"):
+    with pytest.raises(ReconError, match="expected data files in the same folder"):
         Character.read(tmp_path / "c.gltf")
 
 

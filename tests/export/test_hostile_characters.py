@@ -99,7 +99,7 @@ REFUSED = {
     "text for numbers": (_text, "expected 3 numbers of a node"),
     "nan": (_nan, "expected 3 numbers of a node"),
     "half a joint": (_joints, "expected the number of a node"),
-    "a record for a list": (_stray, "expected a list of records in skins"),
+    "a record for a list": (_stray, "expected a list of JSON objects in skins"),
     "glTF 1": (_old, "expected glTF of version 2"),
 }
 
@@ -257,4 +257,4 @@ def test_json_with_lone_surrogates_is_no_crash(made):
     made.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(parts)) + parts)
     read = Character.read(made)
     with pytest.raises(ReconError, match="NaN, infinity or broken text"):
-        read.file.write_with(made.with_name("o.glb"), "m", np.zeros(1), [], {})
+        read.file.write_with_animation(made.with_name("o.glb"), "m", np.zeros(1), [], {})

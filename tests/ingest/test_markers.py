@@ -21,8 +21,8 @@ from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import on_ground
 from recon.ingest.marker_exchanges import (
-    exchanged_throughout,
-    mirrored,
+    opposite_label,
+    pairs_exchanged_throughout,
     side_pairs,
     with_exchanges_undone,
 )
@@ -270,10 +270,10 @@ def test_pairs_lie_in_each_others_place() -> None:
     places = np.arange(4.0)[None, :, None] * np.ones((5, 1, 3))
     seen = np.ones((5, 4), dtype=bool)
     swapped = places[:, [0, 2, 1, 3]]
-    assert exchanged_throughout("abcd", swapped, seen, places) == [(1, 2)]
-    assert exchanged_throughout("abcd", places, seen, places) == []
+    assert pairs_exchanged_throughout("abcd", swapped, seen, places) == [(1, 2)]
+    assert pairs_exchanged_throughout("abcd", places, seen, places) == []
     seen[:, 1] = False
-    assert exchanged_throughout("abcd", swapped, seen, places) == []
+    assert pairs_exchanged_throughout("abcd", swapped, seen, places) == []
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_pairs_lie_in_each_others_place() -> None:
      ("Hip_L", "Hip_R"), ("C7", None), ("Sternum", None)],
 )  # fmt: skip
 def test_counterparts_of_labels(label: str, other: str | None) -> None:
-    assert mirrored(label) == other
+    assert opposite_label(label) == other
 
 
 def test_augmented_keypoints_are_left_out(markers: MarkerRecording, single: BodyModel) -> None:

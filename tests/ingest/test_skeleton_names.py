@@ -67,7 +67,7 @@ def test_unknown_skeletons_are_refused_by_their_names(tmp_path: Path) -> None:
     """They were refused after the whole motion had been read."""
     path = tmp_path / "tail.bvh"
     path.write_text(BVH.format(name="Tail"))
-    with pytest.raises(ValueError, match=r"none of .*its joints are Hips, Tail\. Say which"):
+    with pytest.raises(ValueError, match=r"none of .*its joints are Hips, Tail\. Name recon"):
         refuse_unknown_skeleton(path)
     refuse_unknown_skeleton(tmp_path / "none.bvh")
     refuse_unknown_skeleton(tmp_path)

@@ -30,7 +30,7 @@ class _Bent(TiedFrames[_Points]):
     kinds: Tensor
 
     @property
-    def stiffness(self) -> Tensor:
+    def tie_stiffness(self) -> Tensor:
         return self.data.new_full((2,), self.spring)
 
     def residuals(self, x: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ class _Bent(TiedFrames[_Points]):
         jacobian = self.jacobian(state.x[rows])
         return jacobian.mT @ jacobian
 
-    def have_same_data_kind(self, some: Tensor, others: Tensor) -> Tensor:
+    def can_share_hessian(self, some: Tensor, others: Tensor) -> Tensor:
         return self.kinds[some] == self.kinds[others]
 
     def tie_energies(self, state: _Points) -> tuple[Tensor, Tensor]:
