@@ -63,7 +63,7 @@ def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
             yield file.read(size - 8)
         elif size >= 8:
             file.seek(size - 8, 1)
-        else:  # the last box, which has no size, or bytes that are no box
+        else:  # the last box, whose size is left out, or bytes that are no box
             return
 
 
@@ -109,7 +109,7 @@ def _focal_length_items(
 
 
 def _number_of_metadata(kind: int, raw: bytes) -> float | None:
-    """Decode a metadata value as a number; return None where it is none."""
+    """Decode a metadata value as a number; return None if it is not a number."""
     try:
         if kind == _TEXT:
             return float(raw.decode().strip("\0 ").removesuffix("mm"))

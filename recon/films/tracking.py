@@ -189,7 +189,7 @@ def _are_same_body(one: Pose, other: Pose) -> bool:
 
 
 def _distance_of_bodies(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
-    """Return the median distance (pixels) of trunk and legs, whichever side each calls left."""
+    """Return the median distance (pixels) of trunk and legs, after exchanging sides if nearer."""
     away = (np.linalg.norm((one - it)[_TRUNK_LEGS], axis=1) for it in (other, other[MIRRORED]))
     return min(float(np.median(distances)) for distances in away)
 

@@ -66,7 +66,7 @@ def find_turning(
     pixels: Float[np.ndarray, "rows 2"],
     focal: float,
     *,
-    known: bool,
+    focal_known: bool,
 ) -> CameraMotion | None:
     """Find a camera's rotation over time; None where it hardly rotates, or leaves its spot.
 
@@ -75,7 +75,7 @@ def find_turning(
         point: number of the observed point.
         pixels: its position from the principal point, without the lens' distortion.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether the focal length is known; if not, it is looked for.
+        focal_known: whether the focal length is known; if not, it is looked for.
     """
     order = np.argsort(frame, kind="stable")
     frame, point, pixels = frame[order], point[order], pixels[order]
@@ -91,7 +91,7 @@ def find_turning(
 
     factor, told = 1.0, False
     found, off = rotations_at(factor)
-    if _largest_turn(found) > _FOCAL_TURN and not known:
+    if _largest_turn(found) > _FOCAL_TURN and not focal_known:
         values = np.array([misfit_at(one) for one in _FOCAL_FACTORS])
         best = int(values.argmin())
         told = 0 < best < len(values) - 1
@@ -115,7 +115,7 @@ def fitted_rotation(
     goal: Float[np.ndarray, "points 3"],
     R: Float[np.ndarray, "3 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """Fit the rotation R rays = goal robustly; return it, and each vector's residual and weight.
+    """Fit a rotation R with R rays ≈ goal robustly; return R, and each ray's residual and weight.
 
     Args:
         rays: unit vectors before the rotation.

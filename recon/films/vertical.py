@@ -189,16 +189,15 @@ def _explained_share(
     length, normals = _segment_lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
     vertical = np.exp(-0.5 * off**2)
-    # `ahead` and `aside` are two horizontal directions for each vertical. The camera and a segment
-    # span a plane with a normal n: if the segment is horizontal in space, its direction is n × up.
+    # two horizontal directions for each vertical are axes in which headings of lines are measured
     ahead = np.cross(ups, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     aside = np.cross(ups, ahead)
-    # the coordinates of n × up: (n × up)·ahead = n·aside and (n × up)·aside = -n·ahead
+    # coordinates of n × up, along which a horizontal line in the plane of normal n points
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
-    # a plane that is nearly level determines no heading
+    # n × up vanishes where the segment and the camera span a nearly level plane: no heading
     left = length * (1 - vertical) * (np.hypot(x, y) > 0.2)
     histogram = np.bincount(bins.ravel(), left.ravel(), _HEADINGS * len(ups))
     histogram = histogram.reshape(len(ups), _HEADINGS)

@@ -100,7 +100,7 @@ class StillFeet(TensorStruct):
 def with_still_feet(
     stages: Sequence[Stage[Any]], view: Keypoints2D, body: BodyModel, pixel_size: float
 ) -> tuple[Stage[Any], ...]:
-    """Return the stages with feet that are still in the image held like certain contacts.
+    """Return the stages; feet that do not move in the image are held as if surely in contact.
 
     No feet are held at low frame rates, where a foot may leave and come back between two frames.
     """

@@ -65,10 +65,10 @@ def preconditioned(
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-        # reading row numbers from a GPU would wait for it, and is needless where all are active
-        every = len(active) == len(factors)
-        own = factors if every else [factors[k] for k in active.tolist()]
-        return local.after_steps(some, _Unwhitened.apply(u, own, local.hessian_size))
+        # reading row numbers waits for a GPU to finish: spare it where all clips are active
+        all_active = len(active) == len(factors)
+        active_factors = factors if all_active else [factors[k] for k in active.tolist()]
+        return local.after_steps(some, _Unwhitened.apply(u, active_factors, local.hessian_size))
 
     start = base.variables.shape.new_zeros(len(factors), local.size)
     minimiser = replace(stage.minimiser, scaled=True)

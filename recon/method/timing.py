@@ -21,7 +21,7 @@ def at_observation_times(
     start_time: float,
     moments: int,
 ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-    """Interpolate values of a motion at an observation's frames; return also which it covers.
+    """Interpolate values of a motion at an observation's frames; also return which it covers.
 
     Values are linear between the motion's frames. Frames of the observation before or after the
     motion are left out.

@@ -257,9 +257,9 @@ def _with_motion(
     focal = float(matrix[[0, 1], [0, 1]].mean())
     pixels = undistorted_pixels(behind.pixels, camera) - matrix[:2, 2]
     seen = behind.frame, behind.point, pixels, focal
-    moved = find_turning(*seen, known=camera.focal_known)
+    moved = find_turning(*seen, focal_known=camera.focal_known)
     if moved is None:
-        moved = find_path(*seen, known=camera.focal_known, rate=rate)
+        moved = find_path(*seen, focal_known=camera.focal_known, rate=rate)
     if isinstance(moved, str):
         note = (
             f"{found.name}: its background moves, so the camera was carried or held in the hand; "
