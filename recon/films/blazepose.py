@@ -67,9 +67,9 @@ class Region:
 
     def cut(self, image: Image, pixels: int) -> UInt8[np.ndarray, "pixels pixels 3"]:
         """Return the square as an upright image of its own; black beyond the original's border."""
-        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(
-            cv2.warpAffine(image, self.to_image(pixels), (pixels, pixels), flags=how)
+            cv2.warpAffine(image, self.to_image(pixels), (pixels, pixels), flags=flags)
         )
 
 

@@ -107,7 +107,7 @@ class SeenBackground:
         moved: Bool[np.ndarray, " pictures"],
         *,
         points: bool = True,
-        focal: float | None = None,
+        focal_std: float | None = None,
         steady: float | None = None,
         wider: float = 1.0,
         steps: int = 10,
@@ -117,7 +117,7 @@ class SeenBackground:
         Args:
             moved: which pictures' poses change.
             points: whether points move.
-            focal: standard deviation of the logarithm of the focal length; None keeps it.
+            focal_std: standard deviation of the logarithm of the focal length; None keeps it.
             steady: standard deviation of second differences of cameras' positions; None is
                 without this term.
             wider: multiple of the noise beyond which observations count little.
@@ -125,7 +125,7 @@ class SeenBackground:
         """
         problem = _Adjustment(
             self, np.flatnonzero(self.are_usable() & (moved[self.picture] | points)), moved,
-            points, focal, steady, wider * NOISE,
+            points, focal_std, steady, wider * NOISE,
         )  # fmt: skip
         value, damping = problem.cost(), 1e-4
         for _ in range(steps):
@@ -154,8 +154,8 @@ class _Adjustment:
     scene: SeenBackground
     rows: Int[np.ndarray, " rows"]
     moved: Bool[np.ndarray, " pictures"]
-    points: bool
-    focal: float | None
+    points_move: bool
+    focal_std: float | None
     steadiness_std: float | None
     scale: float
 
@@ -163,8 +163,8 @@ class _Adjustment:
         """Return the value of the objective for the present scene."""
         square = (self.scene.errors(self.rows) / self.scale) ** 2
         total = float((1 - 1 / (1 + square)).sum())
-        if self.focal is not None:
-            total += (np.log(self.scene.focal) / self.focal) ** 2
+        if self.focal_std is not None:
+            total += (np.log(self.scene.focal) / self.focal_std) ** 2
         if self.steadiness_std is not None:
             total += float((self.second_differences() ** 2).sum())
         return total
@@ -197,7 +197,7 @@ class _Adjustment:
         columns = _sparse_blocks(
             poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count
         )
-        if self.focal is not None:
+        if self.focal_std is not None:
             zoom = sparse.csr_array((scene.focal * seen * root[:, 0]).reshape(-1, 1))
             columns = sparse.hstack((columns, zoom), format="csr")
         H, g = columns.T @ columns, columns.T @ off.ravel()
@@ -214,11 +214,11 @@ class _Adjustment:
                 / self.steadiness_std
             )
             H, g = H + Jd.T @ Jd, g + Jd.T @ self.second_differences().ravel()
-        if self.focal is not None:
+        if self.focal_std is not None:
             last = np.zeros(len(g))
-            last[-1] = 1 / self.focal
+            last[-1] = 1 / self.focal_std
             H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(scene.focal)
-        if not self.points:
+        if not self.points_move:
             return lambda damping: self._apply_step(
                 -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
                 None,
@@ -252,7 +252,7 @@ class _Adjustment:
         self, step: Float[np.ndarray, " n"], points: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
         scene = self.scene
-        if self.focal is not None:
+        if self.focal_std is not None:
             scene.focal *= float(np.exp(np.clip(step[-1], -_MOST_ZOOM, _MOST_ZOOM)))
         steps = step[: 6 * int(self.moved.sum())].reshape(-1, 6)
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()

@@ -126,7 +126,7 @@ def _reconstructions(
         scene.R[other], scene.t[other] = R, t
         _find_poses_from_pair(scene, one, other)
         scene.refine(
-            _pose_known_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
+            _pose_known_except(scene, one), focal_std=None if known else _FOCAL_DEVIATION, steps=30
         )
         yield scene, one
 

@@ -67,7 +67,7 @@ class _StoreFile:
         return replace(seen, name=self.film.name, decisions=(*notes, *more))
 
     def save(self, found: Detections, notes: Sequence[str]) -> None:
-        """Save detections, with notes that reading the file does not make by itself."""
+        """Save detections, and notes that are not made again when the file is read."""
         self.folder.mkdir(parents=True, exist_ok=True)
         arrays = {"made_of": np.array(self.key), "notes": np.array(notes, str)}
         save_arrays(self.file, {**detection_arrays(found), **arrays})

@@ -172,7 +172,7 @@ class _WindowFitter:
                 start=stack([self.recording.first_guess(row, shape) for row in batch]),
                 scene=concatenate([self.scene] * len(batch)),
                 weights=self.weights,
-                watch=self._watch(name),
+                watch=self._watch_with_prefix(name),
             )
             for k, row in enumerate(batch):
                 motions[row] = result.motion[k].replace(
@@ -184,15 +184,15 @@ class _WindowFitter:
         merged = [_merged_report(name, stage, order) for stage in zip(*reports, strict=True)]
         return _WindowFits(motions, tuple(failed), tuple(merged))
 
-    def _watch(self, name: str) -> Watch | None:
+    def _watch_with_prefix(self, name: str) -> Watch | None:
         watch = self.watch
         if watch is None:
             return None
 
-        def with_window(stage: str, progress: Progress) -> bool | None:
+        def watch_prefixed(stage: str, progress: Progress) -> bool | None:
             return watch(f"{name}: {stage}", progress)
 
-        return with_window
+        return watch_prefixed
 
 
 def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:

@@ -97,11 +97,11 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     known = list(getattr(prior_class(prior) if isinstance(prior, str) else prior, "methods", ()))
     if name in known:
         return name
-    which = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
+    prior_name = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
     if len(known) == 0:
-        raise ReconError(f"method: {which} is fitted in one way only, got {name!r}; leave it out")
+        raise ReconError(f"method: {prior_name} is fitted in one way only, got {name!r}; omit it")
     methods = " or ".join((*known, *registered_places(LOOKS)))
-    raise ReconError(f"method: {which} is fitted by {methods}, got {name!r}")
+    raise ReconError(f"method: {prior_name} is fitted by {methods}, got {name!r}")
 
 
 @dataclass(frozen=True)

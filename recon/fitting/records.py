@@ -87,11 +87,11 @@ class Stretch:
 
     def report(self) -> dict[str, Any]:
         """Return the stretch as a dictionary of plain values, for reports."""
-        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
-        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
+        values = {"start": self.start, "stop": self.stop, "prior": self.prior}
+        values |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
         if self.energy is not None:
-            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
-        return told
+            values |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
+        return values
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Holds feet in place where they stay in one place of the only view's image.
+"""Holds feet still in space where they do not move in the image of the only view.
 
 One view does not show whether a foot moves along its ray. A camera above the ground looks down at
 feet, so that a foot on the ground moves in the image when it moves in space; a foot that is still

@@ -209,11 +209,11 @@ def background_camera(
     T = np.eye(4)[None]
     if moved is not None:
         # rotate the lines of all pictures into the view of the middle picture
-        middle = np.linalg.inv(moved.at(moved.frames[[len(moved.frames) // 2]])[0])
-        T = middle @ moved.at(frames)
+        middle = np.linalg.inv(moved.poses_at(moved.frames[[len(moved.frames) // 2]])[0])
+        T = middle @ moved.poses_at(frames)
         images = [
             _turned_segments(one, focal, (middle @ pose)[:3, :3])
-            for one, pose in zip(images, moved.at(numbers), strict=True)
+            for one, pose in zip(images, moved.poses_at(numbers), strict=True)
         ]
     metric = moved is None or not moved.places.any()
     told = find_vertical(images, max(camera.image_size), focal, camera.focal_std)

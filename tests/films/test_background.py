@@ -102,7 +102,7 @@ def test_turns_and_focal_length_of_a_pan_are_found():
     assert found is not None
     assert found.focal_told
     assert found.focal == pytest.approx(FOCAL, rel=0.02)
-    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.at(np.arange(FRAMES))[:, :3, :3])
+    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.poses_at(np.arange(FRAMES))[:, :3, :3])
     assert np.degrees(off.magnitude().max()) < 0.5
 
 
