@@ -54,7 +54,7 @@ class Region:
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], top: Float[np.ndarray, "2"]) -> "Region":
-        """Return the square around a person, given mid hips and top of the circle around both."""
+        """Return a person's square, around the circle centred at `hips` and through `top`."""
         up = top - hips
         angle = float(np.arctan2(up[0], -up[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)

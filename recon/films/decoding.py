@@ -111,7 +111,7 @@ class Film:
         self.notes += [note for note in losses if note not in self.notes]
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
-        """Yield upright images and their times (s); count repeated, left-out ones in `losses`."""
+        """Yield upright images and times (s); note in `losses` how many repeats are left out."""
         last, repeated = None, 0
         for frame, time in self.decoded(losses):
             image = self.image_of(frame)

@@ -113,11 +113,11 @@ def _number_of_metadata(kind: int, raw: bytes) -> float | None:
     try:
         if kind == _TEXT:
             return float(raw.decode().strip("\0 ").removesuffix("mm"))
-        how = _NUMBERS.get(kind)
-        if how == "f":
+        number_type = _NUMBERS.get(kind)
+        if number_type == "f":
             return float(struct.unpack(">f" if len(raw) == 4 else ">d", raw)[0])
-        if how is not None and len(raw) <= 8:
-            return float(int.from_bytes(raw, signed=how == "i"))
+        if number_type is not None and len(raw) <= 8:
+            return float(int.from_bytes(raw, signed=number_type == "i"))
     except (ValueError, struct.error):
         pass
     return None

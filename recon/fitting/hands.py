@@ -248,7 +248,7 @@ class _FingerProblem(Problem[Tensor]):
         return self._weighted_residuals(x, self.posed(x))[None]
 
     def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
-        """Return each tip's standard deviation (m) from the wrist, in the worst direction."""
+        """Return each tip's worst-direction standard deviation (m) relative to the wrist."""
         quadratic = self.model(x, torch.zeros(1, dtype=torch.long))
         inverse = Factor(quadratic.hessian[0], 0.0).inverse()
         tips = self.jacobian(x, self.posed(x))[:, 4::4]
