@@ -75,7 +75,7 @@ class FollowedPoints:
     def _tracked_into(
         self, grey: UInt8[np.ndarray, "height width"], before: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], np.ndarray]:
-        """Return the points' positions in the next image, and which return when followed back."""
+        """Return positions in the next image, and which points lead back to where they began."""
         there, found, _ = _optical_flow(self._grey, grey, before)
         back, again, _ = _optical_flow(grey, self._grey, there)
         inside = ((there >= 0) & (there < grey.shape[::-1])).all(-1)
@@ -104,36 +104,36 @@ def _new_corners(
 
 
 def points_if_camera_moves(seen: Background, people: Detections) -> tuple[Background | None, str]:
-    """Return points of the background if the camera moves, else None; and a note.
+    """Return points of the background if the camera moves, else None; and a note or "".
 
-    The note, otherwise empty, says that too few points tell; the camera then counts as still.
+    The note says that there are too few points to tell; the camera then counts as still.
 
     Args:
         seen: all followed points, pixels of the film.
         people: everybody in the film, whose points are left out; with the size of its images.
     """
     assert people.image_size is not None
-    behind = _without_people(seen, people)
+    outside = _without_people(seen, people)
     pictures = len(people.frame_numbers)
-    if len(behind.frame) < _FEWEST_BEHIND * pictures:
+    if len(outside.frame) < _FEWEST_BEHIND * pictures:
         return None, (
-            f"{len(behind.frame) / pictures:.0f} points of the background in a picture are too "
+            f"{len(outside.frame) / pictures:.0f} points of the background in a picture are too "
             "few to tell whether the camera moves: it is taken as standing still"
         )
-    count = np.bincount(behind.point)
+    count = np.bincount(outside.point)
     low, high = np.full((len(count), 2), np.inf), np.full((len(count), 2), -np.inf)
-    np.minimum.at(low, behind.point, behind.pixels)
-    np.maximum.at(high, behind.point, behind.pixels)
+    np.minimum.at(low, outside.point, outside.pixels)
+    np.maximum.at(high, outside.point, outside.pixels)
     extent = np.linalg.norm(high - low, axis=-1)[count >= _LONG_TRACK]
     moved = extent > _STILL_EXTENT * max(people.image_size)
     moves = len(moved) >= _FEWEST_BEHIND and moved.mean() > _MOVING_SHARE
-    return (behind if moves else None), ""
+    return (outside if moves else None), ""
 
 
-def _without_people(seen: Background, people: Detections) -> Background:
-    """Return points outside all people's boxes; one that a box covers has a new number after."""
-    order = np.lexsort((seen.frame, seen.point))
-    frame, point, pixels = seen.frame[order], seen.point[order], seen.pixels[order]
+def _without_people(followed: Background, people: Detections) -> Background:
+    """Drop points in people's boxes; a point that comes out of a box gets a new number."""
+    order = np.lexsort((followed.frame, followed.point))
+    frame, point, pixels = followed.frame[order], followed.point[order], followed.pixels[order]
     covered = np.zeros(len(frame), bool)
     by_frame = np.argsort(frame, kind="stable")
     for number, person, sure in zip(people.frame, people.pixels, people.confidence, strict=True):

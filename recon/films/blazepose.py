@@ -54,7 +54,7 @@ class Region:
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], top: Float[np.ndarray, "2"]) -> "Region":
-        """Return the square around a person from mid hips and the top of a circle about them."""
+        """Return a person's square, around the circle centred at `hips` and through `top`."""
         up = top - hips
         angle = float(np.arctan2(up[0], -up[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)
@@ -67,9 +67,9 @@ class Region:
 
     def cut(self, image: Image, pixels: int) -> UInt8[np.ndarray, "pixels pixels 3"]:
         """Return the square as an upright image of its own; black beyond the original's border."""
-        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(
-            cv2.warpAffine(image, self.to_image(pixels), (pixels, pixels), flags=how)
+            cv2.warpAffine(image, self.to_image(pixels), (pixels, pixels), flags=flags)
         )
 
 
@@ -190,12 +190,12 @@ class Network:
         self._first = first_shape
         if first_shape not in self._outputs:
             raise ReconError(
-                f"{path}: expected a network of BlazePose with an output of {first_shape}, got "
-                f"{', '.join(map(str, self._outputs))}"
+                f"{path}: expected a network of BlazePose with an output of shape "
+                f"{first_shape}, got the shapes {', '.join(map(str, self._outputs))}"
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """Run the network on an image; return the main output, then one of each shape in `more`.
+        """Run the network on an image; return its main output and one of each shape in `more`.
 
         Of several outputs of one shape, the first by name is returned.
         """
@@ -270,15 +270,15 @@ def _overlapping_boxes(
     A group holds the boxes that overlap the highest-scoring box that is not yet in a group.
     """
     low, high, area = middles - sizes / 2, middles + sizes / 2, sizes.prod(1)
-    left, groups = np.argsort(-scores), list[np.ndarray]()
-    while len(left) > 0:
-        best = left[0]
-        common = np.minimum(high[left], high[best]) - np.maximum(low[left], low[best])
+    rest, groups = np.argsort(-scores), list[np.ndarray]()
+    while len(rest) > 0:
+        best = rest[0]
+        common = np.minimum(high[rest], high[best]) - np.maximum(low[rest], low[best])
         shared = np.maximum(common, 0).prod(1)
-        same = shared > _OVERLAP * (area[left] + area[best] - shared)
+        same = shared > _OVERLAP * (area[rest] + area[best] - shared)
         same[0] = True
-        groups.append(left[same])
-        left = left[~same]
+        groups.append(rest[same])
+        rest = rest[~same]
     return groups
 
 
@@ -286,12 +286,12 @@ def _refined_by_heatmap(
     places: Float[np.ndarray, "39 2"], heat: Float[np.ndarray, "64 64 39"]
 ) -> Float[np.ndarray, "39 2"]:
     """Move each point to the nearby centre of mass of its heat map, if that has a clear peak."""
-    step = _SIDE // _HEAT
-    cells = np.floor(places / step).astype(int)
-    own = ((cells >= 0) & (cells < _HEAT)).all(1)
+    cell_size = _SIDE // _HEAT
+    cells = np.floor(places / cell_size).astype(int)
+    in_map = ((cells >= 0) & (cells < _HEAT)).all(1)
     reach = np.arange(-_REACH, _REACH + 1)
     columns, rows = (np.clip(cells[:, k, None], 0, _HEAT - 1) + reach for k in (0, 1))
-    there = ((rows >= 0) & (rows < _HEAT))[:, :, None] & ((columns >= 0) & (columns < _HEAT))[
+    inside = ((rows >= 0) & (rows < _HEAT))[:, :, None] & ((columns >= 0) & (columns < _HEAT))[
         :, None
     ]
     patch = heat[
@@ -299,9 +299,9 @@ def _refined_by_heatmap(
         np.clip(columns, 0, _HEAT - 1)[:, None],
         np.arange(_POINTS)[:, None, None],
     ]
-    probability = np.where(there, _sigmoid(patch), 0.0)
+    probability = np.where(inside, _sigmoid(patch), 0.0)
     total = probability.sum((1, 2))
     x = (probability * columns[:, None]).sum((1, 2)) / np.maximum(total, 1e-9)
     y = (probability * rows[:, :, None]).sum((1, 2)) / np.maximum(total, 1e-9)
-    clear = own & (probability.max((1, 2)) >= _LEAST_HEAT)
-    return np.where(clear[:, None], np.stack((x, y), -1) * step, places)
+    clear = in_map & (probability.max((1, 2)) >= _LEAST_HEAT)
+    return np.where(clear[:, None], np.stack((x, y), -1) * cell_size, places)

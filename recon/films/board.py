@@ -188,39 +188,39 @@ def _calibrated_lens(film: Film, board: Board) -> _Lens:
 
 
 def _calibrated_camera(
-    film: Film, board: Board, seen: Sequence[Corners]
+    film: Film, board: Board, views: Sequence[Corners]
 ) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
-    """Fit a camera; return it, errors of moments (pixels) and its focal length's relative std."""
-    places = [one.reshape(-1, 1, 2).astype(np.float32) for one in seen]
+    """Return a fitted camera, each image's error (pixels), and the focal length's relative std."""
+    places = [one.reshape(-1, 1, 2).astype(np.float32) for one in views]
     guess = guessed_camera(film.image_size, film.stated_focal)
-    _, matrix, distortion, _, _, stds, _, off = cv2.calibrateCameraExtended(
+    _, matrix, distortion, _, _, stds, _, errors = cv2.calibrateCameraExtended(
         [board.points] * len(places), places, film.image_size, guess.camera_matrix.copy(),
         np.zeros(5), flags=_LENS,
     )  # fmt: skip
     camera = CameraArrays(matrix, film.image_size, distortion.ravel()[:5])
-    return camera, off.ravel(), float(stds[1, 0] / matrix[1, 1])
+    return camera, errors.ravel(), float(stds[1, 0] / matrix[1, 1])
 
 
 def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.ndarray, "4 4"]]:
-    """Return each T_camera_first (4 x 4), by pairs of cameras that see the board together."""
+    """Return poses T_camera_first, chained over pairs of cameras that see the board at once."""
     if (board.columns + board.rows) % 2 == 0:
         raise ObservationError(
             f"board: one of {board.columns}x{board.rows} corners looks the same upside down, so "
             "cameras cannot agree on its direction; one number must be odd and the other even"
         )
-    every, names = list(lenses.values()), list(lenses)
+    cameras, names = list(lenses.values()), list(lenses)
     poses = {0: np.eye(4)}
-    while len(poses) < len(every):
-        pairs = product(poses, [k for k in range(len(every)) if k not in poses])
-        shared = {pair: _moments_both_see(every[pair[0]], every[pair[1]]) for pair in pairs}
+    while len(poses) < len(cameras):
+        pairs = product(poses, [k for k in range(len(cameras)) if k not in poses])
+        shared = {pair: _moments_both_see(cameras[pair[0]], cameras[pair[1]]) for pair in pairs}
         (known, new), moments = max(shared.items(), key=lambda one: len(one[1]))
         if len(moments) < _FEWEST_SHARED:
             raise ObservationError(
                 f"{names[new]}: sees the board together with another camera at {len(moments)} "
-                f"moments, {_FEWEST_SHARED} are needed; start all films at one moment and hold "
+                f"moments, {_FEWEST_SHARED} are needed; start all films at once, and hold "
                 "the board where two cameras see it, or calibrate each lens by itself"
             )
-        one, other = every[known], every[new]
+        one, other = cameras[known], cameras[new]
         places = [
             [np.float32(each.seen[k].reshape(-1, 1, 2)) for k in moments] for each in (one, other)
         ]
@@ -231,7 +231,7 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = found[5], np.ravel(found[6])
         poses[new] = step @ poses[known]
-    return [poses[k] for k in range(len(every))]
+    return [poses[k] for k in range(len(cameras))]
 
 
 def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
@@ -244,12 +244,12 @@ def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
 def _poses_above_floor(
     poses: Sequence[Float[np.ndarray, "4 4"]], lenses: Sequence[_Lens], board: Board
 ) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
-    """Return each T_camera_world, z = 0 being where the board lies still longest, and a note."""
+    """Return poses T_camera_world and a note; z = 0 is where the board lies still longest."""
     rests = [_longest_rest(lens.seen) for lens in lenses]
     moments = max(rests, key=_duration)
     if _duration(moments) < _STILL_S:
         raise ObservationError(
-            f"the board never lies still for {_STILL_S:g} s, which tells where the ground is; lay "
+            f"the ground is where the board lies still for {_STILL_S:g} s, but it never does; lay "
             "it on the floor at the end, where a camera sees it, before all films stop"
         )
     k = rests.index(moments)
@@ -258,7 +258,7 @@ def _poses_above_floor(
     _, turn, place = cv2.solvePnP(board.points, mean, *lens.lens)
     T_camera_board = np.eye(4)
     T_camera_board[:3, :3], T_camera_board[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
-    # seen from above, the board's axes point right, towards its lower rim, and into the floor
+    # the lying board's z axis points into the floor, the world's up: turn it about the x axis
     T_first_world = np.linalg.inv(poses[k]) @ T_camera_board @ np.diag([1.0, -1.0, -1.0, 1.0])
     note = (
         f"the ground is where the board lies from {moments[0] / _RATE:.1f} to "

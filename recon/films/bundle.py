@@ -70,15 +70,15 @@ class SeenBackground:
 
     def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
         """Return reprojection errors in units of the focal length; infinite behind a camera."""
-        there = self.points_in_cameras(rows)
-        front = there[:, 2] > _CLOSEST
-        seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
+        in_camera = self.points_in_cameras(rows)
+        in_front = in_camera[:, 2] > _CLOSEST
+        seen = in_camera[:, :2] / np.where(in_front, in_camera[:, 2], 1.0)[:, None]
         return np.where(
-            front, np.linalg.norm(self.focal * seen - self.places[rows], axis=1), np.inf
+            in_front, np.linalg.norm(self.focal * seen - self.places[rows], axis=1), np.inf
         )
 
     def triangulate(self) -> None:
-        """Locate the points not yet known that two or more placed pictures see (linearly)."""
+        """Triangulate points not yet known that two or more pictures of known pose see."""
         rows = np.flatnonzero(self.placed[self.picture] & ~self.known[self.point])
         P = np.concatenate((self.R, self.t[:, :, None]), 2)[self.picture[rows]]
         A = (self.places[rows] / self.focal)[:, :, None] * P[:, 2:] - P[:, :2]
@@ -97,17 +97,17 @@ class SeenBackground:
         """Mark points as unknown that fit in at most one, or less than half, of their pictures."""
         rows = np.flatnonzero(self.are_usable())
         fits = rows[self.errors(rows) < _MISFIT * NOISE]
-        of_all, of_fits = (
+        count_of_all, count_of_fits = (
             np.bincount(self.point[own], minlength=len(self.X)) for own in (rows, fits)
         )
-        self.known &= (of_fits >= 2) & (2 * of_fits >= of_all)
+        self.known &= (count_of_fits >= 2) & (2 * count_of_fits >= count_of_all)
 
     def refine(
         self,
         moved: Bool[np.ndarray, " pictures"],
         *,
         points: bool = True,
-        focal: float | None = None,
+        focal_std: float | None = None,
         steady: float | None = None,
         wider: float = 1.0,
         steps: int = 10,
@@ -117,7 +117,7 @@ class SeenBackground:
         Args:
             moved: which pictures' poses change.
             points: whether points move.
-            focal: standard deviation of the logarithm of the focal length; None keeps it.
+            focal_std: standard deviation of the logarithm of the focal length; None keeps it.
             steady: standard deviation of second differences of cameras' positions; None is
                 without this term.
             wider: multiple of the noise beyond which observations count little.
@@ -125,11 +125,11 @@ class SeenBackground:
         """
         problem = _Adjustment(
             self, np.flatnonzero(self.are_usable() & (moved[self.picture] | points)), moved,
-            points, focal, steady, wider * NOISE,
+            points, focal_std, steady, wider * NOISE,
         )  # fmt: skip
         value, damping = problem.cost(), 1e-4
         for _ in range(steps):
-            kept, step = (self.R, self.t, self.X, self.focal), problem.step_of_linearised()
+            kept, step = (self.R, self.t, self.X, self.focal), problem.linearised()
             while not (now := self._cost_after(step, damping, problem)) < value:
                 self.R, self.t, self.X, self.focal = kept
                 damping *= 10
@@ -154,8 +154,8 @@ class _Adjustment:
     scene: SeenBackground
     rows: Int[np.ndarray, " rows"]
     moved: Bool[np.ndarray, " pictures"]
-    points: bool
-    focal: float | None
+    points_move: bool
+    focal_std: float | None
     steadiness_std: float | None
     scale: float
 
@@ -163,8 +163,8 @@ class _Adjustment:
         """Return the value of the objective for the present scene."""
         square = (self.scene.errors(self.rows) / self.scale) ** 2
         total = float((1 - 1 / (1 + square)).sum())
-        if self.focal is not None:
-            total += (np.log(self.scene.focal) / self.focal) ** 2
+        if self.focal_std is not None:
+            total += (np.log(self.scene.focal) / self.focal_std) ** 2
         if self.steadiness_std is not None:
             total += float((self.second_differences() ** 2).sum())
         return total
@@ -175,8 +175,8 @@ class _Adjustment:
             np.diff(self.scene.camera_positions()[self.moved], n=2, axis=0) / self.steadiness_std
         )
 
-    def step_of_linearised(self) -> Callable[[float], None]:
-        """Linearise the present scene; return a function that takes a step of given damping."""
+    def linearised(self) -> Callable[[float], None]:
+        """Linearise the objective here; return a function that takes a step of given damping."""
         scene, rows = self.scene, self.rows
         k, p = scene.picture[rows], scene.point[rows]
         there = scene.points_in_cameras(rows)
@@ -197,7 +197,7 @@ class _Adjustment:
         columns = _sparse_blocks(
             poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count
         )
-        if self.focal is not None:
+        if self.focal_std is not None:
             zoom = sparse.csr_array((scene.focal * seen * root[:, 0]).reshape(-1, 1))
             columns = sparse.hstack((columns, zoom), format="csr")
         H, g = columns.T @ columns, columns.T @ off.ravel()
@@ -214,11 +214,11 @@ class _Adjustment:
                 / self.steadiness_std
             )
             H, g = H + Jd.T @ Jd, g + Jd.T @ self.second_differences().ravel()
-        if self.focal is not None:
+        if self.focal_std is not None:
             last = np.zeros(len(g))
-            last[-1] = 1 / self.focal
+            last[-1] = 1 / self.focal_std
             H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(scene.focal)
-        if not self.points:
+        if not self.points_move:
             return lambda damping: self._apply_step(
                 -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
                 None,
@@ -231,16 +231,16 @@ class _Adjustment:
         np.add.at(gp, which, np.einsum("nij,ni->nj", Jp, off))
         W = columns.T @ _sparse_blocks(Jp, which, len(used))
 
-        def without_points(damping: float) -> tuple[np.ndarray, Any, Any]:
-            more = (damping * np.einsum("pii->pi", Hpp) + _RIDGE)[:, :, None] * np.eye(3)
-            inverse, each = np.linalg.inv(Hpp + more), np.arange(len(used) + 1)
-            WV = W @ sparse.bsr_array((inverse, each[:-1], each))
+        def schur_complement(damping: float) -> tuple[np.ndarray, Any, Any]:
+            added = (damping * np.einsum("pii->pi", Hpp) + _RIDGE)[:, :, None] * np.eye(3)
+            inverse, blocks = np.linalg.inv(Hpp + added), np.arange(len(used) + 1)
+            WV = W @ sparse.bsr_array((inverse, blocks[:-1], blocks))
             return inverse, WV, (H - WV @ W.T).toarray()
 
-        scene.normal = without_points(0.0)[2]
+        scene.normal = schur_complement(0.0)[2]
 
         def take_step(damping: float) -> None:
-            inverse, WV, S = without_points(damping)
+            inverse, WV, S = schur_complement(damping)
             damped = S + np.diag(damping * S.diagonal() + _RIDGE)
             step = -np.linalg.solve(damped, g - WV @ gp.ravel())
             own = -np.einsum("pij,pj->pi", inverse, gp + (W.T @ step).reshape(-1, 3))
@@ -251,19 +251,19 @@ class _Adjustment:
     def _apply_step(
         self, step: Float[np.ndarray, " n"], points: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        it = self.scene
-        if self.focal is not None:
-            it.focal *= float(np.exp(np.clip(step[-1], -_MOST_ZOOM, _MOST_ZOOM)))
-        own = step[: 6 * int(self.moved.sum())].reshape(-1, 6)
-        turn = Rotation.from_rotvec(own[:, :3]).as_matrix()
-        it.R, it.t = it.R.copy(), it.t.copy()
-        it.R[self.moved] = turn @ it.R[self.moved]
-        it.t[self.moved] = np.einsum("kij,kj->ki", turn, it.t[self.moved]) + own[:, 3:]
+        scene = self.scene
+        if self.focal_std is not None:
+            scene.focal *= float(np.exp(np.clip(step[-1], -_MOST_ZOOM, _MOST_ZOOM)))
+        steps = step[: 6 * int(self.moved.sum())].reshape(-1, 6)
+        turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+        scene.R, scene.t = scene.R.copy(), scene.t.copy()
+        scene.R[self.moved] = turns @ scene.R[self.moved]
+        scene.t[self.moved] = np.einsum("kij,kj->ki", turns, scene.t[self.moved]) + steps[:, 3:]
         if points is not None:
             used, change = points
-            X = it.X[used] + change
-            it.X = it.X.copy()
-            it.X[used] = X / np.linalg.norm(X, axis=1, keepdims=True)
+            X = scene.X[used] + change
+            scene.X = scene.X.copy()
+            scene.X[used] = X / np.linalg.norm(X, axis=1, keepdims=True)
 
 
 def _sparse_blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:

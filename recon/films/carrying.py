@@ -48,7 +48,7 @@ def find_path(
     pixels: Float[np.ndarray, "rows 2"],
     focal: float,
     *,
-    known: bool,
+    focal_known: bool,
     rate: float,
 ) -> CameraMotion | str:
     """Find the motion of a carried camera, its path up to scale; else say why it is unknown.
@@ -58,20 +58,22 @@ def find_path(
         point: number of the observed point.
         pixels: its position from the principal point, without the lens' distortion.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether the focal length is known; if not, it is refined.
+        focal_known: whether the focal length is known; if not, it is refined.
         rate: frames per second.
     """
     frames, picture = np.unique(frame, return_inverse=True)
-    every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
-    keys = np.arange(0, len(frames), every)
+    key_step = max(_EVERY, -(-len(frames) // _MOST_KEYS))
+    keys = np.arange(0, len(frames), key_step)
     seen = _Observations(picture, point, pixels / focal)
-    grown = list(_reconstructions(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
-    if not grown:
+    scenes = (
+        list(_reconstructions(seen, keys, known=focal_known)) if len(keys) >= _FEWEST_KEYS else []
+    )
+    if not scenes:
         return "no two pictures share enough points at different distances"
-    best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
+    best, first = max(scenes, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
         return "points of the background do not agree on a path"
-    place, zoom = _standard_deviations(best, _pose_known_except(best, first), focal=not known)
+    place, zoom = _path_deviations(best, _pose_known_except(best, first), focal=not focal_known)
     if place > _MOST_DEVIATION:
         return "the camera moves too little for the distance of the background"
     whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
@@ -81,7 +83,7 @@ def find_path(
         R_first_camera=R[0] @ R.swapaxes(1, 2),
         places=(places - places[0]) @ R[0].T,
         focal=focal * whole.focal,
-        focal_told=not known and zoom < _FOCAL_TOLD,
+        focal_told=not focal_known and zoom < _FOCAL_TOLD,
     )
 
 
@@ -124,7 +126,7 @@ def _reconstructions(
         scene.R[other], scene.t[other] = R, t
         _find_poses_from_pair(scene, one, other)
         scene.refine(
-            _pose_known_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
+            _pose_known_except(scene, one), focal_std=None if known else _FOCAL_DEVIATION, steps=30
         )
         yield scene, one
 
@@ -201,7 +203,7 @@ def _share_that_fits(scene: SeenBackground) -> float:
     return float((scene.errors(rows) < _FITS * NOISE).sum() / len(scene.picture))
 
 
-def _standard_deviations(
+def _path_deviations(
     scene: SeenBackground, moved: Bool[np.ndarray, " pictures"], *, focal: bool
 ) -> tuple[float, float]:
     """Return standard deviations of positions (as shares of the path's extent) and of log focal.

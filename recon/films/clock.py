@@ -24,13 +24,13 @@ class FilmClock:
     """Number of frames from the first picture to the last."""
     speed: float
     """Seconds of the film's time stamps per second of the recording; 8 for 240 Hz shown at 30."""
-    off: float
+    largest_offset: float
     """The largest distance of a picture from the nearest frame of the clock, in frames."""
 
     @property
     def is_even(self) -> bool:
         """Whether pictures were taken at the clock's frames, apart from dropped frames."""
-        return self.off <= _EVEN
+        return self.largest_offset <= _EVEN
 
     def time(self, stamp: float) -> float:
         """Convert a time stamp to seconds of the recording, both since the first picture."""
@@ -57,11 +57,11 @@ def clock_of_stamps(
     steps = np.diff(stamps)
     frames = np.rint(steps / np.median(steps))
     span, count = float(stamps[-1] - stamps[0]), max(int(frames.sum()), 1)
-    played = count / span
-    place = (stamps - stamps[0]) * played
-    off = np.abs(place - np.rint(place)).max()
-    rate = played if recorded_rate is None else recorded_rate
-    return FilmClock(rate=rate, frames=count + 1, speed=rate / played, off=float(off))
+    shown_rate = count / span
+    frame_numbers = (stamps - stamps[0]) * shown_rate
+    offset = float(np.abs(frame_numbers - np.rint(frame_numbers)).max())
+    rate = shown_rate if recorded_rate is None else recorded_rate
+    return FilmClock(rate, count + 1, speed=rate / shown_rate, largest_offset=offset)
 
 
 def resampled_at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:

@@ -85,7 +85,7 @@ class Film:
 
     @property
     def frames(self) -> int:
-        """Number of frames of this clock, from the first picture to the last."""
+        """Number of frames of the film's even clock, from the first picture to the last."""
         return self.clock.frames
 
     def in_film(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
@@ -111,7 +111,7 @@ class Film:
         self.notes += [note for note in losses if note not in self.notes]
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
-        """Yield upright images and their times (s), without repeated ones; add to `losses`."""
+        """Yield upright images and times (s); note in `losses` how many repeats are left out."""
         last, repeated = None, 0
         for frame, time in self.decoded(losses):
             image = self.image_of(frame)

@@ -79,7 +79,7 @@ class _Wrist:
 def with_hands(
     film: Film, frames: Iterable[FilmFrame], found: Detections, networks: HandNetworks
 ) -> Detections:
-    """Find hands in a film; return its detections with their points, and with notes on them.
+    """Find hands in a film; return `found` with the points of hands, and notes, added.
 
     All points of a hand have the same confidence. Of a film whose pictures were taken unevenly,
     points are those of the picture nearest to the frame.
@@ -126,7 +126,7 @@ def with_hands(
 
 
 def _confidence_of_hand(hand: Hand) -> float:
-    """Return a hand's confidence: its points' usual error divided by that expected at its score.
+    """Return a hand's confidence: the usual error of points over that expected at its score.
 
     In real films of three calibrated cameras, points of hands with scores from 0.6 to 0.9 were
     about three times as far from where the two other views see them as those of higher scores.
@@ -178,7 +178,7 @@ def _hands_at(
     *,
     search: bool,
 ) -> Iterator[tuple[_Wrist, Hand]]:
-    """Yield the hand at every wrist that has one, found by the last frame's or by a palm.
+    """Yield each wrist where a hand is found, and the hand: from the last frame's or a palm.
 
     Args:
         wrists: of all people in one image.
@@ -200,11 +200,11 @@ def _hands_at(
         yield from ((wrist, hand) for hand in hands if wrist.may_own(hand))
 
 
-def _without_duplicates(seen: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
+def _without_duplicates(hands: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
     """Return hands without duplicates: one found at two wrists is left to the nearer wrist."""
-    seen.sort(key=lambda it: it[0].hand_lengths_to(it[1].pixels[0]))
+    hands.sort(key=lambda it: it[0].hand_lengths_to(it[1].pixels[0]))
     kept: list[tuple[_Wrist, Hand]] = []
-    for wrist, hand in seen:
+    for wrist, hand in hands:
         apart = [np.linalg.norm(hand.pixels - one.pixels, axis=1).mean() for _, one in kept]
         if all(away > _SAME_HAND * wrist.length for away in apart):
             kept.append((wrist, hand))

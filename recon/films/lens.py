@@ -63,7 +63,7 @@ def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
             yield file.read(size - 8)
         elif size >= 8:
             file.seek(size - 8, 1)
-        else:  # the last box, which has no size, or bytes that are no box
+        else:  # the last box, whose size is left out, or bytes that are no box
             return
 
 
@@ -109,15 +109,15 @@ def _focal_length_items(
 
 
 def _number_of_metadata(kind: int, raw: bytes) -> float | None:
-    """Decode a metadata value as a number; return None where it is none."""
+    """Decode a metadata value as a number; return None if it is not a number."""
     try:
         if kind == _TEXT:
             return float(raw.decode().strip("\0 ").removesuffix("mm"))
-        how = _NUMBERS.get(kind)
-        if how == "f":
+        number_type = _NUMBERS.get(kind)
+        if number_type == "f":
             return float(struct.unpack(">f" if len(raw) == 4 else ">d", raw)[0])
-        if how is not None and len(raw) <= 8:
-            return float(int.from_bytes(raw, signed=how == "i"))
+        if number_type is not None and len(raw) <= 8:
+            return float(int.from_bytes(raw, signed=number_type == "i"))
     except (ValueError, struct.error):
         pass
     return None

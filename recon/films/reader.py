@@ -67,7 +67,7 @@ class _StoreFile:
         return replace(seen, name=self.film.name, decisions=(*notes, *more))
 
     def save(self, found: Detections, notes: Sequence[str]) -> None:
-        """Save detections, with notes that reading the file does not make by itself."""
+        """Save detections, and notes that are not made again when the file is read."""
         self.folder.mkdir(parents=True, exist_ok=True)
         arrays = {"made_of": np.array(self.key), "notes": np.array(notes, str)}
         save_arrays(self.file, {**detection_arrays(found), **arrays})
@@ -198,7 +198,7 @@ class _WatchedFilm:
             self.times[frame.number] = frame.time
 
     def lines(self) -> tuple[Float[np.ndarray, "lines 2 2"], Int[np.ndarray, " lines"]]:
-        """Return straight segments of the shot with most searched frames, and their frames."""
+        """Return straight segments of the shot with most searched frames, and each one's frame."""
         shots = Counter(shot for shot, _ in self.segments.values())
         chosen = shots.most_common(1)[0][0] if shots else 0
         own = {n: ends for n, (shot, ends) in self.segments.items() if shot == chosen}
@@ -238,8 +238,7 @@ def _detect_everybody(
         done = True
     finally:
         if unfinished is not None and state is not None and not done:
-            # an interruption may leave detections of a frame that the tracker's state lacks: these
-            # are not saved
+            # leave out detections of a frame in which the tracker was interrupted
             unfinished.add([one for one in sights[kept:] if one.frame <= state.frame], kept, state)
     return sights
 
@@ -247,7 +246,7 @@ def _detect_everybody(
 def _detections(
     film: Film, times: Mapping[int, float], people: list[list[Row]], layout: str | None
 ) -> Detections:
-    """Convert rows of people to detections at even times, in pixels of the film, not of images.
+    """Convert rows of people to detections at even times, in pixels of the film before shrinking.
 
     Keypoints beyond the image's border are guesses: they get a confidence of 0.
     """
@@ -293,8 +292,8 @@ def _detector_named(name: str) -> Detector:
     known = registered_places(DETECTORS)
     if name not in known and ":" not in name:
         raise ReconError(
-            f"detector: expected a file of BlazePose's landmarks ({_NETWORK}), a class "
-            f"package.module:Class{''.join(f', {one}' for one in known)}; got {name!r}"
+            f"detector: expected a file of BlazePose's landmark network ({_NETWORK}), a "
+            f"class package.module:Class{''.join(f', {one}' for one in known)}; got {name!r}"
         )
     return imported_object(known.get(name, name), "detector")()
 

@@ -84,8 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
-    # the names that the image gives cost 0, exchanged ones 2; both cost 1 if the mirror image
-    # gives the exchanged names
+    # exchanged sides cost 2, kept ones 0; both cost 1 where the mirror image names them otherwise
     distance_as_named, distance_exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
@@ -113,7 +112,7 @@ def _median_in_time(
 def _landmark_confidence(
     sights: list[Sight], spread: Float[np.ndarray, "frames 33"]
 ) -> Float[np.ndarray, "frames 33"]:
-    """Return confidences: a surely seen landmark's error divided by the one expected of each.
+    """Return confidences: the error of a surely seen landmark over each one's expected error.
 
     Args:
         sights: detections of one person.

@@ -43,7 +43,7 @@ class TrackerState:
 
     frame: int
     shot: int
-    fresh: int
+    next_id: int
     """Number of the next track."""
     next_search: int
     """Frame of the next search for new people."""
@@ -94,7 +94,7 @@ class Tracker:
         self._networks = networks
         self._rate = rate
         self._tracks: list[_Track] = []
-        self._fresh = 0
+        self._next_id = 0
         self._next_search = 0
         self._shot = 0
         self._frame = -1
@@ -110,12 +110,12 @@ class Tracker:
             if one.points is not None and one.body is not None
         ]  # fmt: skip
         return TrackerState(
-            self._frame, self._shot, self._fresh, self._next_search, np.reshape(rows, (-1, 79))
+            self._frame, self._shot, self._next_id, self._next_search, np.reshape(rows, (-1, 79))
         )
 
     def continue_from(self, state: TrackerState) -> None:
         """Restore the state of an earlier tracker of the same film."""
-        self._frame, self._shot, self._fresh = state.frame, state.shot, state.fresh
+        self._frame, self._shot, self._next_id = state.frame, state.shot, state.next_id
         self._next_search = state.next_search
         self._tracks = [
             _Track(
@@ -131,7 +131,7 @@ class Tracker:
         if shot != self._shot:
             self._tracks, self._shot, self._next_search = [], shot, frame
         if not self._tracks or frame >= self._next_search:
-            self._search(image, tiles=frame >= self._next_search)
+            self._add_new_people(image, tiles=frame >= self._next_search)
             if frame >= self._next_search:
                 self._next_search = frame + max(round(_SEARCH_S * self._rate), 1)
         before = len(self._tracks)
@@ -143,14 +143,14 @@ class Tracker:
             self._next_search = min(self._next_search, frame + 1)
         return [sight for _, sight in kept]
 
-    def _search(self, image: Image, *, tiles: bool) -> None:
+    def _add_new_people(self, image: Image, *, tiles: bool) -> None:
         found = self._networks.find(image)
         if tiles:
             found += [one for tile in _tiles(image) for one in self._networks.find(image, tile)]
         for region, _ in sorted(found, key=lambda one: -one[1]):
             if all(not _are_same_place(region, one.region) for one in self._tracks):
-                self._tracks.append(_Track(self._fresh, region))
-                self._fresh += 1
+                self._tracks.append(_Track(self._next_id, region))
+                self._next_id += 1
 
     def _tracks_still_seen(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
         """Yield tracks whose person is still in the region, each with the new detection.
@@ -189,7 +189,7 @@ def _are_same_body(one: Pose, other: Pose) -> bool:
 
 
 def _distance_of_bodies(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
-    """Return the median distance (pixels) of trunk and legs, whichever side each calls left."""
+    """Return the median distance (pixels) of trunk and legs, after exchanging sides if nearer."""
     away = (np.linalg.norm((one - it)[_TRUNK_LEGS], axis=1) for it in (other, other[MIRRORED]))
     return min(float(np.median(distances)) for distances in away)
 

@@ -47,7 +47,7 @@ class CameraMotion:
         """The largest angle of rotation from the first picture, radians."""
         return _largest_turn(self.R_first_camera)
 
-    def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 4 4"]:
+    def poses_at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 4 4"]:
         """Interpolate the poses T_first_camera at any frames, by shortest rotations."""
         T = np.tile(np.eye(4), (len(frames), 1, 1))
         if len(self.frames) < 2:
@@ -66,7 +66,7 @@ def find_turning(
     pixels: Float[np.ndarray, "rows 2"],
     focal: float,
     *,
-    known: bool,
+    focal_known: bool,
 ) -> CameraMotion | None:
     """Find a camera's rotation over time; None where it hardly rotates, or leaves its spot.
 
@@ -75,7 +75,7 @@ def find_turning(
         point: number of the observed point.
         pixels: its position from the principal point, without the lens' distortion.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether the focal length is known; if not, it is looked for.
+        focal_known: whether the focal length is known; if not, it is looked for.
     """
     order = np.argsort(frame, kind="stable")
     frame, point, pixels = frame[order], point[order], pixels[order]
@@ -91,7 +91,7 @@ def find_turning(
 
     factor, told = 1.0, False
     found, off = rotations_at(factor)
-    if _largest_turn(found) > _FOCAL_TURN and not known:
+    if _largest_turn(found) > _FOCAL_TURN and not focal_known:
         values = np.array([misfit_at(one) for one in _FOCAL_FACTORS])
         best = int(values.argmin())
         told = 0 < best < len(values) - 1
@@ -115,7 +115,7 @@ def fitted_rotation(
     goal: Float[np.ndarray, "points 3"],
     R: Float[np.ndarray, "3 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """Fit the rotation R rays = goal robustly; return it, and each vector's residual and weight.
+    """Fit a rotation R with R rays ≈ goal robustly; return R, and each ray's residual and weight.
 
     Args:
         rays: unit vectors before the rotation.
@@ -146,15 +146,15 @@ def _chained_rotations(
     rays = np.concatenate((places, np.ones((len(places), 1))), 1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     known, trust = np.zeros((point.max() + 1, 3)), np.zeros(point.max() + 1)
-    turn, turns, offs = np.eye(3), list[np.ndarray](), [np.zeros(1)]
+    turn, turns, errors = np.eye(3), list[np.ndarray](), [np.zeros(1)]
     for rows in np.split(np.arange(len(point)), starts):
-        mine, ray, weight = point[rows], rays[rows], np.ones(len(rows))
-        old = trust[mine] > 0
+        numbers, seen, weight = point[rows], rays[rows], np.ones(len(rows))
+        old = trust[numbers] > 0
         if old.sum() >= _FEWEST_POINTS:
-            turn, off, weight[old] = fitted_rotation(ray[old], known[mine[old]], turn)
-            offs.append(off)
+            turn, error, weight[old] = fitted_rotation(seen[old], known[numbers[old]], turn)
+            errors.append(error)
         turns.append(turn)
-        trust[mine] += weight + 1e-3
-        share = (weight + 1e-3) / trust[mine]
-        known[mine] += share[:, None] * (ray @ turn.T - known[mine])
-    return np.stack(turns), np.concatenate(offs)
+        trust[numbers] += weight + 1e-3
+        share = (weight + 1e-3) / trust[numbers]
+        known[numbers] += share[:, None] * (seen @ turn.T - known[numbers])
+    return np.stack(turns), np.concatenate(errors)

@@ -43,7 +43,7 @@ class Unfinished:
                 "sights": np.array([(one.frame, one.track) for one in sights]).reshape(-1, 2),
                 "poses": np.array(rows).reshape(len(rows), 2, -1),
                 "tracks": state.tracks,
-                "counters": np.array([state.frame, state.shot, state.fresh, state.next_search]),
+                "counters": np.array([state.frame, state.shot, state.next_id, state.next_search]),
             },
         )
 
@@ -61,8 +61,8 @@ class Unfinished:
                     arrays["sights"], arrays["poses"], strict=True
                 )
             ]
-            frame, shot, fresh, next_search = arrays["counters"].tolist()
-            state = TrackerState(frame, shot, fresh, next_search, arrays["tracks"])
+            frame, shot, next_id, next_search = arrays["counters"].tolist()
+            state = TrackerState(frame, shot, next_id, next_search, arrays["tracks"])
         return sights, state
 
     def remove(self) -> None:

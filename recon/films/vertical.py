@@ -62,7 +62,7 @@ class Vertical:
 
 def find_vertical(
     images: Sequence[Float[np.ndarray, "_ 2 2"]],
-    longer: int,
+    longer_side: int,
     focal: float,
     focal_std: float,
 ) -> Vertical | None:
@@ -75,7 +75,7 @@ def find_vertical(
     Args:
         images: ends of the straight segments of each image, pixels from the principal point; of
             a film five images are enough.
-        longer: the longer side of the images, pixels.
+        longer_side: the longer side of the images, pixels.
         focal: focal length in pixels; its guess where it is not known.
         focal_std: its standard deviation as a share of it; 0 where it is known. Else it is looked
             for within three of them, and the guess is taken where lines do not tell it.
@@ -84,26 +84,26 @@ def find_vertical(
     segments = np.concatenate([np.zeros((0, 2, 2)), *images])
     if len(segments) < _FEWEST_SEGMENTS or not _may_be_vertical(segments).any():
         return None
-    chance = np.random.default_rng(0)
-    lengths = longer * _FOCAL_LENGTHS
+    generator = np.random.default_rng(0)
+    lengths = longer_side * _FOCAL_LENGTHS
     lengths = lengths[np.abs(np.log(lengths / focal)) <= _MOST_OFF * focal_std]
     if len(lengths) == 0:
         lengths, known = np.full(1, focal), True
-    proposals = [_best_vertical(segments, one, chance) for one in lengths]
+    proposals = [_best_vertical(segments, one, generator) for one in lengths]
     shares = np.array([share for _, share, _ in proposals])
     best = int(shares.argmax())
-    told = not known and _is_peak(np.log(lengths), shares, best)
-    if not known and not told:
-        up, share, rival = _best_vertical(segments, focal, chance)
+    focal_found = not known and _is_peak(np.log(lengths), shares, best)
+    if not known and not focal_found:
+        up, share, rival = _best_vertical(segments, focal, generator)
     else:
         (up, share, rival), focal = proposals[best], float(lengths[best])
-    by_chance = _share_by_chance(segments, lengths[::4], chance)
+    by_chance = _share_by_chance(segments, lengths[::4], generator)
     if share < by_chance + _BEYOND_CHANCE or rival - by_chance > _RIVAL * (share - by_chance):
         return None
     own = [_explained_share(one, focal, up[None])[0] for one in images if len(one) > 0]
     if min(own) < _EVERY_IMAGE * np.mean(own):
         return None
-    return Vertical(up, focal if told else None)
+    return Vertical(up, focal if focal_found else None)
 
 
 def straight_segments(
@@ -189,16 +189,15 @@ def _explained_share(
     length, normals = _segment_lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
     vertical = np.exp(-0.5 * off**2)
-    # `ahead` and `aside` are two horizontal directions for each vertical. The camera and a segment
-    # span a plane with a normal n: if the segment is horizontal in space, its direction is n × up.
+    # two horizontal directions for each vertical are axes in which headings of lines are measured
     ahead = np.cross(ups, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     aside = np.cross(ups, ahead)
-    # the coordinates of n × up: (n × up)·ahead = n·aside and (n × up)·aside = -n·ahead
+    # coordinates of n × up, along which a horizontal line in the plane of normal n points
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
-    # a plane that is nearly level determines no heading
+    # n × up vanishes where the segment and the camera span a nearly level plane: no heading
     left = length * (1 - vertical) * (np.hypot(x, y) > 0.2)
     histogram = np.bincount(bins.ravel(), left.ravel(), _HEADINGS * len(ups))
     histogram = histogram.reshape(len(ups), _HEADINGS)

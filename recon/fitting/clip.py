@@ -21,7 +21,7 @@ from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
     for_one_view,
     from_first_pose_stage,
-    from_first_with_prior,
+    from_first_prior_stage,
     prior_stages,
     with_relative_accelerations,
     with_scene,
@@ -122,23 +122,23 @@ class ClipProblem:
         """Fit the motion, and the ground where it is not known."""
         if self.options.grounded and all(one.ground_known for one in self.observations):
             return self._fit_in_recording_frame(ground_known=True)
-        job = self._with_camera_path_in_metres()
+        clip = self._with_camera_path_in_metres()
         if not self.options.grounded:
-            return job._fit_in_recording_frame(ground_known=False)
-        result = job._fit_with_ground()
+            return clip._fit_in_recording_frame(ground_known=False)
+        result = clip._fit_with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
-        return job._clip_fit(result, T, ground_known=False)
+        return clip._clip_fit(result, T, ground_known=False)
 
     def _fit_in_recording_frame(self, *, ground_known: bool) -> ClipFit:
-        """Fit in the frame of the recording, which is the world or has no ground."""
-        job, start = self, self.guess.motion
+        """Fit in the recording's frame, where the ground is z = 0 or is not fitted at all."""
+        clip, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
             from recon.fitting.first_motions import scaled_onto_ground  # imported only for images
 
-            job, free = self.after_pose_prior()
+            clip, free = self.after_pose_prior()
             start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
-        result = job.fit(job.options, job.initial_scene(start), start, job.optimised_unknowns)
+        result = clip.fit(clip.options, clip.initial_scene(start), start, clip.optimised_unknowns)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
 
@@ -176,17 +176,17 @@ class ClipProblem:
         # imported only when the ground is unknown
         from recon.fitting.ground import ground_by_feet, ground_by_posture, point_below_pelvis
 
-        job, start, level = self, self.guess.motion, frame_is_level(self.observations)
+        clip, start, level = self, self.guess.motion, frame_is_level(self.observations)
         if self.ground_seen and not level:
             ground = UnknownGround.create(point_below_pelvis(start, self.body))
         else:
-            job, start = self.after_pose_prior()
+            clip, start = self.after_pose_prior()
             ground = (ground_by_feet if level else ground_by_posture)(start, self.body)
         moved = self.optimised_unknowns
         if self.options.knows_gravity:
             # if the z axis points up, only the height of the ground is unknown
             moved |= HEIGHT if level else GROUND
-        return job.fit(job.options, job.initial_scene(start, ground), start, moved)
+        return clip.fit(clip.options, clip.initial_scene(start, ground), start, moved)
 
     def _clip_fit(
         self, reconstruction: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
@@ -284,7 +284,7 @@ class ClipProblem:
                 (view,) = views_of([cast(Any, data[0].energy)])
                 stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:
-                return from_first_with_prior(stages)
+                return from_first_prior_stage(stages)
             if not self.guess.distance_known:
                 return for_one_view(stages)
             return from_first_pose_stage(stages) if self.guess.aligned else stages

@@ -87,7 +87,7 @@ class CycleFrames:
 
     @classmethod
     def of(cls, observations: Sequence[Sensor]) -> "CycleFrames":
-        """Return a clock over all data, at a rate within `RATES` that suits the first observation.
+        """Return frames over all data, at a rate within `RATES` that suits the first observation.
 
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.
@@ -168,7 +168,7 @@ def typical_cycles(
 def _centroid_path(
     observations: Sequence[Sensor], frames: CycleFrames
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
-    """Return the centroid of the data at the clock's frames, and a mask of frames with data."""
+    """Return the centroid of the data in the cycle's frames, and a mask of frames with data."""
     clips, moments = frames.valid.shape
     total = observations[0].values.new_zeros(clips, moments, 3)
     count = total.new_zeros(clips, moments, 1)

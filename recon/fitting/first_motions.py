@@ -1,7 +1,7 @@
-"""Finds from a first motion what the fit of one view needs besides the pose prior.
+"""Estimates scale and error correlation of one view from a first, rough motion.
 
-This is the correlation of keypoint errors over time, the person's size over a known ground, and
-the unit of a camera's path. The first motion is fitted by the pose prior, which needs no ground.
+The scale is the person's size over a known ground, or the unit of a camera's path. The first
+motion is fitted by the pose prior, which needs no ground.
 """
 
 import torch

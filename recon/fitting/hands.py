@@ -141,7 +141,7 @@ def _angle_precision() -> Float[Tensor, "22 22"]:
 def _mean_turn_to_palm(
     views: Sequence[HandView], model: HandModel, side: int, wrist: Float[Tensor, "time 3 3"]
 ) -> Float[Tensor, "3 3"]:
-    """Return the mean rotation from the body's wrist to the palm that points in space show."""
+    """Return the mean rotation from the body's wrist to the palm, as measured by 3D points."""
     palm_points = [0, 5, 9, 13, 17]
     total = torch.eye(3, dtype=torch.float64) * 1e-3
     bones = (model.directions[side] * model.lengths[side, :, None])[[4, 8, 12, 16]]
@@ -248,7 +248,7 @@ class _FingerProblem(Problem[Tensor]):
         return self._weighted_residuals(x, self.posed(x))[None]
 
     def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
-        """Return the standard deviation (m) of each tip about the wrist in its worst direction."""
+        """Return each tip's worst-direction standard deviation (m) relative to the wrist."""
         quadratic = self.model(x, torch.zeros(1, dtype=torch.long))
         inverse = Factor(quadratic.hessian[0], 0.0).inverse()
         tips = self.jacobian(x, self.posed(x))[:, 4::4]
@@ -300,26 +300,26 @@ def _residuals(
     """Return predicted minus seen values over their noise, and their derivatives."""
     weights = view.weights.to(points)[..., None]
     if view.camera is None:
-        bent = None if jacobian is None else weights[..., None] * jacobian
-        return weights * (points - view.values.to(points)), bent
+        derivatives = None if jacobian is None else weights[..., None] * jacobian
+        return weights * (points - view.values.to(points)), derivatives
     camera = view.camera
-    seen = camera.to_camera(points)
-    depth = seen[..., 2:].clamp(min=0.05)
-    rays, matrix = seen[..., :2] / depth, camera.camera_matrix.to(points)
+    in_camera = camera.to_camera(points)
+    depth = in_camera[..., 2:].clamp(min=0.05)
+    rays, matrix = in_camera[..., :2] / depth, camera.camera_matrix.to(points)
     pixels = rays @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
-    bent = None
+    derivatives = None
     if jacobian is not None:
         eye = torch.eye(2).to(points).expand(*rays.shape, 2)
         inward = matrix[..., None, :2, :2] @ (
             torch.cat((eye, -rays[..., None]), -1) / depth[..., None]
         )
         turn = camera.T_camera_world.to(points)[..., None, :3, :3]
-        bent = weights[..., None] * (inward @ turn @ jacobian)
-    return weights * (pixels - view.values.to(points)), bent
+        derivatives = weights[..., None] * (inward @ turn @ jacobian)
+    return weights * (pixels - view.values.to(points)), derivatives
 
 
 def _excess_over_limits(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
-    """Return by how much angles (rad) are beyond their limits; negative below the smallest."""
+    """Return by how much angles (rad) exceed their limits; negative below the lower limit."""
     return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
 
 

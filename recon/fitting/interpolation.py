@@ -54,7 +54,7 @@ def interpolated_cycle(
 
 
 def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
-    """Decode a batch of one cycle to a motion at `fps` that begins at its first anchor.
+    """Decode a batch of one cycle to a motion at `fps` that begins at the cycle's start.
 
     Raises:
         ValueError: when its duration is not plausible for a cycle.

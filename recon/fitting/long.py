@@ -95,7 +95,7 @@ def fit_long(
 
     def stages_with_ties(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         ties = [
-            recording.tie_to_neighbours(row, apart.fitted_neighbours(row), apart.lowest_fps, body)
+            recording.tie_to_neighbours(row, alone.fitted_neighbours(row), alone.lowest_fps, body)
             for row in rows
         ]
         return with_shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
@@ -104,16 +104,16 @@ def fit_long(
         "shape", some, recording.guess.shape, lambda _, data: until_first_shape_stage(stages(data))
     )
     shape = shapes.median_shape()
-    apart = job.fit("apart", every[::2], shape, lambda _, data: with_shape_held(stages(data)))
-    between = job.fit("tied", every[1::2], shape, stages_with_ties)
-    motions, rate = apart.motions | between.motions, min(apart.lowest_fps, between.lowest_fps)
+    alone = job.fit("apart", every[::2], shape, lambda _, data: with_shape_held(stages(data)))
+    tied = job.fit("tied", every[1::2], shape, stages_with_ties)
+    motions, rate = alone.motions | tied.motions, min(alone.lowest_fps, tied.lowest_fps)
     joined = joined_windows([motions[row].resample(rate) for row in every])
     whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),
         windows=tuple(recording.time_range(row) for row in every),
-        failed_windows=tuple(sorted({*apart.failed, *between.failed})),
-        reports=(*shapes.reports, *apart.reports, *between.reports),
+        failed_windows=tuple(sorted({*alone.failed, *tied.failed})),
+        reports=(*shapes.reports, *alone.reports, *tied.reports),
     )
 
 
@@ -172,7 +172,7 @@ class _WindowFitter:
                 start=stack([self.recording.first_guess(row, shape) for row in batch]),
                 scene=concatenate([self.scene] * len(batch)),
                 weights=self.weights,
-                watch=self._watch(name),
+                watch=self._watch_with_prefix(name),
             )
             for k, row in enumerate(batch):
                 motions[row] = result.motion[k].replace(
@@ -184,15 +184,15 @@ class _WindowFitter:
         merged = [_merged_report(name, stage, order) for stage in zip(*reports, strict=True)]
         return _WindowFits(motions, tuple(failed), tuple(merged))
 
-    def _watch(self, name: str) -> Watch | None:
+    def _watch_with_prefix(self, name: str) -> Watch | None:
         watch = self.watch
         if watch is None:
             return None
 
-        def with_window(stage: str, progress: Progress) -> bool | None:
+        def watch_prefixed(stage: str, progress: Progress) -> bool | None:
             return watch(f"{name}: {stage}", progress)
 
-        return with_window
+        return watch_prefixed
 
 
 def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:

@@ -119,7 +119,7 @@ class LongRecording:
         # at a low frame rate a window of this duration has few frames
         longest = max(round(window * guess.fps) + 1, _MIN_FRAMES)
         shared = max(round(overlap * guess.fps), 1)
-        windows = Windows.cover(guess.frames, longest, shared, frames_until_30_hz_meets(guess.fps))
+        windows = Windows.cover(guess.frames, longest, shared, frames_to_common_time(guess.fps))
         return cls(observations, guess[0], windows)
 
     def time_range(self, row: int) -> tuple[float, float]:
@@ -169,8 +169,8 @@ class LongRecording:
         return OverlapEnergy(joints, weight, fps)
 
 
-def frames_until_30_hz_meets(fps: float) -> int:
-    """Return the frames after which a clock meets one at 30 Hz again; 1 if not within 0.2 s."""
+def frames_to_common_time(fps: float) -> int:
+    """Return after how many frames a clock and one at 30 Hz agree again; 1 if not in 0.2 s."""
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps
     meets = abs(others - round(others)) < 1e-6

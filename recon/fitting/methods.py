@@ -54,7 +54,7 @@ def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
         if missing := sorted(getattr(kind, "__abstractmethods__", ())):
             raise WeightsError(
                 f"prior: {prior!r} lacks {' and '.join(missing)}, which every recon.method.Prior "
-                "has; write it"
+                "defines; add what is missing"
             )
         if hasattr(kind, "load"):
             found = kind.load(weights, body)
@@ -97,11 +97,11 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     known = list(getattr(prior_class(prior) if isinstance(prior, str) else prior, "methods", ()))
     if name in known:
         return name
-    whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
+    prior_name = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
     if len(known) == 0:
-        raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
-    ways = " or ".join((*known, *registered_places(LOOKS)))
-    raise ReconError(f"method: {whose} is fitted by {ways}, got {name!r}")
+        raise ReconError(f"method: {prior_name} is fitted in one way only, got {name!r}; omit it")
+    methods = " or ".join((*known, *registered_places(LOOKS)))
+    raise ReconError(f"method: {prior_name} is fitted by {methods}, got {name!r}")
 
 
 @dataclass(frozen=True)

@@ -100,8 +100,8 @@ def complete_recording(
     Raises:
         ObservationError: when at most one frame has data.
     """
-    placed = observations_in_space(observations)
-    if placed and seen_moments_per_second(placed) == 0 and len(placed) == len(observations):
+    in_space = observations_in_space(observations)
+    if in_space and seen_moments_per_second(in_space) == 0 and len(in_space) == len(observations):
         raise ObservationError(
             "at most one frame has data, so there is no motion to fit; give two or more"
         )
@@ -109,7 +109,7 @@ def complete_recording(
         one if one.places is None else at_least_30_hz(one.with_at_most_points(FITTED))
         for one in observations
     ]
-    few = bool(placed) and seen_moments_per_second(placed) < FEW
+    few = bool(in_space) and seen_moments_per_second(in_space) < FEW
     if few and (one := _fit_as_one_cycle(observations, prior, options, body, watch)) is not None:
         return one
     noise = tuple(
@@ -121,10 +121,10 @@ def complete_recording(
     gait = (
         _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
     )
-    told = _gait_stretches(gait, observations_in_space(first.observations), motion, prior)
+    stretches = _gait_stretches(gait, observations_in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains_data]
     if not kept:
-        return replace(first, stretches=told)
+        return replace(first, stretches=stretches)
     joints = joints_of_cycles(kept, motion, body)
     begun = motion.map(lambda tensor: tensor[None])
     again = replace(any_motion, noise=(*noise, None))
@@ -135,7 +135,7 @@ def complete_recording(
         result=replace(second.result, reports=reports),
         noises=second.noises[:-1],
         observations=second.observations[:-1],
-        stretches=told,
+        stretches=stretches,
     )
 
 
@@ -148,12 +148,12 @@ def _fit_as_one_cycle(
 ) -> ClipFit | None:
     """Fit the recording as one gait cycle; None if it is longer or its hips do not show one."""
     seen = observations_in_space(observations)
-    plain = options.physics == 0 and options.shape is None and not options.terms
-    plain = plain and options.shape_prior is None and options.grounded
-    placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
+    usual = options.physics == 0 and options.shape is None and not options.terms
+    usual = usual and options.shape_prior is None and options.grounded
+    in_world = len(seen) == len(observations) and all(one.ground_known for one in seen)
     times = torch.cat([seen_times(one) for one in seen]).unique()
     seconds = float(times[-1] - times[0])
-    if prior.cycles is None or not (plain and placed):
+    if prior.cycles is None or not (usual and in_world):
         return None
     if not SHORTEST_CYCLE <= seconds <= LONGEST_CYCLE:
         return None
@@ -214,14 +214,14 @@ def _gait_stretches(
     def moments_between(start: float, stop: float) -> int:
         return int(((times >= start - 1e-6) & (times <= stop + 1e-6)).sum())
 
-    told: list[Stretch] = []
+    stretches: list[Stretch] = []
     at = motion.start_time
     for cycles in gait:
         start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
         if start - at > _MIN_STRETCH_S:
-            told.append(Stretch(at, start, prior.steps, moments_between(at, start)))
+            stretches.append(Stretch(at, start, prior.steps, moments_between(at, start)))
         joined = sum(one.explains_data for one in cycles)
-        told.append(
+        stretches.append(
             Stretch(
                 start,
                 stop,
@@ -235,6 +235,6 @@ def _gait_stretches(
         )
         at = stop
     end = float(motion.times[-1])
-    if end - at > _MIN_STRETCH_S or not told:
-        told.append(Stretch(at, end, prior.steps, moments_between(at, end)))
-    return tuple(told)
+    if end - at > _MIN_STRETCH_S or not stretches:
+        stretches.append(Stretch(at, end, prior.steps, moments_between(at, end)))
+    return tuple(stretches)

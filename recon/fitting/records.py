@@ -45,11 +45,11 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
     last = max(first, min(stop, max(ends)))
     cut = tuple(observation.window(first, last) for observation in clip.observations)
     if not any(len(seen_times(one)) > 0 for one in cut):
-        every = np.concatenate([seen_times(one) for one in clip.observations])
+        times = np.concatenate([seen_times(one) for one in clip.observations])
         raise ObservationError(
             f"{', '.join(clip.names)}: nothing was seen between {start:g} and {stop:g} s; "
-            f"--between counts on the recording's clock, which shows something from "
-            f"{every.min():.2f} to {every.max():.2f} s"
+            f"--between counts on the recording's clock, on which data range from "
+            f"{times.min():.2f} to {times.max():.2f} s"
         )
     return replace(clip, observations=cut, starts=start_times(clip))
 
@@ -87,11 +87,11 @@ class Stretch:
 
     def report(self) -> dict[str, Any]:
         """Return the stretch as a dictionary of plain values, for reports."""
-        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
-        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
+        values = {"start": self.start, "stop": self.stop, "prior": self.prior}
+        values |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
         if self.energy is not None:
-            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
-        return told
+            values |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
+        return values
 
 
 @dataclass(frozen=True)

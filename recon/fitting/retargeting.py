@@ -141,7 +141,7 @@ def retarget_by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: Bo
     that obeys physics. Result and errors are those of `retarget`.
     """
     motion, shape = _checked_arguments(motion, shape, body)
-    # the path is scaled about the start of the whole clip, not of this window
+    # scaled before it is cut into windows, since the path grows from the clip's start
     grown = with_shape(motion, body, shape)
 
     def retargeted(window: Motion) -> Motion:
@@ -164,33 +164,33 @@ def _network_proposal(
         shift = found.shift * found.shift.new_tensor([1.0, 1.0, 0.0])
         other = found.replace(shape=shape[None], base=base, shift=shift)
         made = prior.decode(other).motion[0]
-    # translations are corrected at 20 Hz: separate corrections of all frames would cause jitter
+    # take heights of the scaled motion, corrected at 20 Hz: corrections of all frames would jitter
     scaled = with_shape(window, prior.body, shape)
     away = at_network_rate(made).translation - at_network_rate(scaled).translation
     height = scaled.translation + _spline_matrix(made) @ away
     return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
 
 
-def _corrected_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
+def _corrected_proposal(proposal: Motion, window: Motion, body: BodyModel) -> Motion:
     """Correct a proposal on the ground at 20 Hz; between these frames, interpolate corrections.
 
     A network's proposal stands on the ground in every frame, by which its height may tremble.
 
     Args:
-        made: proposed motion for a window.
+        proposal: proposed motion for a window.
         window: the same window of the motion that is retargeted.
         body: body model of both.
     """
-    coarse, source = at_network_rate(made), at_network_rate(window)
-    scaled = with_shape(source, body, made.shape)
+    coarse, source = at_network_rate(proposal), at_network_rate(window)
+    scaled = with_shape(source, body, proposal.shape)
     flying = airborne_frames(source, body)
     stands = corrected_on_ground(coarse[None], scaled[None], flying[None], body).detach()[0]
-    between = _spline_matrix(made)
+    between = _spline_matrix(proposal)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation
-    return made.replace(
-        rotations=made.rotations @ so3.exp((between @ turns).unflatten(-1, (22, 3))),
-        translation=made.translation + between @ moves,
+    return proposal.replace(
+        rotations=proposal.rotations @ so3.exp((between @ turns).unflatten(-1, (22, 3))),
+        translation=proposal.translation + between @ moves,
     )
 
 

@@ -45,7 +45,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     return stages_for
 
 
-def from_first_with_prior(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+def from_first_prior_stage(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """Return the stages from the first one that has a prior; earlier ones only place the motion.
 
     Where motions are proposed for hidden limbs, stages start there.
@@ -153,7 +153,7 @@ def with_physics(
     last and is short because an iteration takes about twice as long with a part of the skin to
     compute, and because feet that stand wrongly in a first guess would be held there.
     """
-    # these terms have no Hessian; L-BFGS with the Hessian of the other terms stops too early
+    # physics has no Hessian; L-BFGS scaled by the Hessian of the other terms stops too early
     last = replace(stages[-1], name="physics", second_order=None, proposals=None)
     minimiser = replace(last.minimiser, max_iterations=iterations, scale=0.0)
     own = {term.name for term in terms}

@@ -1,4 +1,4 @@
-"""Holds feet in place where they stay in one place of the only view's image.
+"""Holds feet still in space where they do not move in the image of the only view.
 
 One view does not show whether a foot moves along its ray. A camera above the ground looks down at
 feet, so that a foot on the ground moves in the image when it moves in space; a foot that is still
@@ -100,7 +100,7 @@ class StillFeet(TensorStruct):
 def with_still_feet(
     stages: Sequence[Stage[Any]], view: Keypoints2D, body: BodyModel, pixel_size: float
 ) -> tuple[Stage[Any], ...]:
-    """Return the stages with feet that are still in the image held like certain contacts.
+    """Return the stages; feet that do not move in the image are held as if surely in contact.
 
     No feet are held at low frame rates, where a foot may leave and come back between two frames.
     """

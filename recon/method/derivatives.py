@@ -51,7 +51,7 @@ class GroundBelief:
 
 @dataclass(frozen=True)
 class GroundDeviation:
-    """Standard deviations of a ground that was found."""
+    """Standard deviations of the height and normal of a ground that a fit found."""
 
     normal: float
     """Standard deviation of its normal about a horizontal axis, radians; 0 where it is known."""
@@ -183,7 +183,7 @@ class Neighbourhood:
         return self._as_estimate(motion.replace(translation=place, rotations=turned, shape=shape))
 
     def _as_estimate(self, motion: Motion) -> Estimate:
-        """Pose motions as estimates, with one ground coordinate moved in each of the last."""
+        """Pose motions as estimates, moving one ground coordinate in each of the last rows."""
         rows = len(motion.translation)
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
@@ -195,11 +195,11 @@ class Neighbourhood:
     def jacobian(self) -> Float[Tensor, "time 66 columns"]:
         """Jacobian of the joints in the world, metres."""
         carried = BonePoints.of_joints(self.body, self.motion.shape[0])
-        moved = self._by_motion(carried)
+        moved = self._jacobian_by_motion(carried)
         none = moved.new_zeros(*moved.shape[:-1], self.ground_coordinates)
         return torch.cat((moved, none), -1).flatten(1, 2)
 
-    def _by_motion(self, points: BonePoints) -> Float[Tensor, "time points 3 motion"]:
+    def _jacobian_by_motion(self, points: BonePoints) -> Float[Tensor, "time points 3 motion"]:
         """Return the Jacobian of points by the 69 coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
@@ -229,15 +229,15 @@ class Neighbourhood:
             sensor: the sensor.
             frame: number of the motion's frame for every frame of the sensor.
         """
-        carries, points_of = is_pointwise(sensor), getattr(sensor, "points_on_bones", None)
+        pointwise, points_of = is_pointwise(sensor), getattr(sensor, "points_on_bones", None)
         held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
-        estimates = self.translated if carries else self.perturbed_columns
+        estimates = self.translated if pointwise else self.perturbed_columns
         rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
         found = held[rows].residuals(estimates)
         slopes = differences(found.values)
-        if carries and points_of is not None:
+        if pointwise and points_of is not None:
             points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
-            moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
+            moved = slopes[..., :_AXES] @ self._jacobian_by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes
 

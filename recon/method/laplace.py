@@ -162,7 +162,7 @@ def _deviations_of_window(
     told = ground is not None and add_stance_information(h, near.translated, near.jacobian, ground)
     factor = Factor(h)
     if not factor.definite:
-        raise ArithmeticError("the Hessian of the fit is not positive definite")
+        raise ArithmeticError("no standard deviations: the fit's Hessian is not positive definite")
     found = factor.inverse()
     marginals = _marginal_deviations(found, near.jacobian_in_recording(), shapes)
     if measure is not None:

@@ -67,9 +67,9 @@ class ProposedMotions:
                 f"{tuple(self.joint_std.shape)}"
             )
         given = {"log_weight": self.log_weight, "joint_std": self.joint_std, **motions.tensors()}
-        for what, tensor in given.items():
+        for field, tensor in given.items():
             if tensor is not None and not bool(torch.isfinite(tensor).all()):
-                raise ReconError(f"{name}: {what} holds NaN or infinity")
+                raise ReconError(f"{name}: {field} holds NaN or infinity")
 
 
 Look = Callable[[Sequence[Sensor], BodyModel], ProposedMotions]

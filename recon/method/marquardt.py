@@ -30,14 +30,14 @@ def marquardt(
     and all variables move in a second one by `preconditioned`.
     """
     settings = stage.minimiser
-    few = max(settings.tolerance_decrease, _LEAST_DECREASE)
-    options = GaussNewton(settings.max_iterations, few, settings.scale)
+    least_gain = max(settings.tolerance_decrease, _LEAST_DECREASE)
+    options = GaussNewton(settings.max_iterations, least_gain, settings.scale)
     try:
         local, base = StageProblem.around(stage, body, unknowns)
         if local.size > local.hessian_size:
             alone = replace(stage, free=frozenset(n for n in stage.free if n in _OF_MOTION))
             held = marquardt(alone, body, unknowns, on_progress)
-            rest = replace(stage, minimiser=replace(settings, tolerance_decrease=few))
+            rest = replace(stage, minimiser=replace(settings, tolerance_decrease=least_gain))
             return held and preconditioned(rest, body, held[0], on_progress)
         found, solution = minimise(local, base, options, len(unknowns.scene.offsets), on_progress)
     except NoHessian:
@@ -65,10 +65,10 @@ def preconditioned(
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-        # reading row numbers from a GPU would wait for it, and is needless where all are active
-        every = len(active) == len(factors)
-        own = factors if every else [factors[k] for k in active.tolist()]
-        return local.after_steps(some, _Unwhitened.apply(u, own, local.hessian_size))
+        # reading row numbers waits for a GPU to finish: spare it where all clips are active
+        all_active = len(active) == len(factors)
+        active_factors = factors if all_active else [factors[k] for k in active.tolist()]
+        return local.after_steps(some, _Unwhitened.apply(u, active_factors, local.hessian_size))
 
     start = base.variables.shape.new_zeros(len(factors), local.size)
     minimiser = replace(stage.minimiser, scaled=True)

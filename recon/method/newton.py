@@ -121,7 +121,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
     if carried.own_joints is not None and found.isotropic and on_frames:
-        # curvatures of points are summed by joint, so that all terms share the joints' Jacobian
+        # isotropic curvatures a·I are summed by joint as a: all terms share the joints' Jacobian
         isotropic = curvature[..., 0, 0]
         joints = cached_constant(carried.own_joints, places.device)
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])

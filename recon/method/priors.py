@@ -215,22 +215,22 @@ def stages_of(given: PriorLike | Stages) -> Stages:
     return as_prior(given).stages if is_prior(given) else given
 
 
-_POWERS = ("encode", "decode", "level", "methods", "reach", "from_steps", "turns",
-           "add_curvature", "belief", "live")  # fmt: skip
+_FORWARDED = ("encode", "decode", "level", "methods", "reach", "from_steps", "turns",
+              "add_curvature", "belief", "live")  # fmt: skip
 
 
 class _FormerPrior(Prior[TensorStruct]):
     """Wraps a prior written for version 0.2 and forwards the methods that it has."""
 
     def __init__(self, given: Any) -> None:
-        powers = {name: getattr(given, name) for name in _POWERS if hasattr(given, name)}
-        vars(self).update(powers, knows_gravity=trait(given, "knows_gravity"), _given=given)
+        forwarded = {name: getattr(given, name) for name in _FORWARDED if hasattr(given, name)}
+        vars(self).update(forwarded, knows_gravity=trait(given, "knows_gravity"), _given=given)
 
     def encode(self, motion: Motion) -> Any:
-        raise NotImplementedError("a prior with stages(data) alone cannot encode or decode")
+        raise NotImplementedError("this prior only has stages(data); add encode and decode")
 
     def decode(self, variables: Any) -> Decoded:
-        raise NotImplementedError("a prior with stages(data) alone cannot encode or decode")
+        raise NotImplementedError("this prior only has stages(data); add encode and decode")
 
     def stages(
         self,

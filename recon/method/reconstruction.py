@@ -76,10 +76,10 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 
 def _covers_observation(start: Motion, seen: Sensor) -> bool:
     """Return whether a motion covers the time of an observation to within about one frame."""
-    first = (start.start_time - seen.start_time) * start.fps
-    spare = seen.duration * start.fps - (start.frames - 1)
-    frame = max(1.0, start.fps / REFERENCE_FPS)
-    return abs(first) <= _SLACK and -_SLACK <= spare < frame - _SLACK
+    start_offset = (start.start_time - seen.start_time) * start.fps
+    end_offset = seen.duration * start.fps - (start.frames - 1)
+    one_frame = max(1.0, start.fps / REFERENCE_FPS)
+    return abs(start_offset) <= _SLACK and -_SLACK <= end_offset < one_frame - _SLACK
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
     from recon.core.camera import Camera
-else:  # at run time Any replaces these, whose modules need not be imported
+else:  # at run time Any replaces these classes, so their modules need not be imported
     from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud

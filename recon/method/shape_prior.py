@@ -50,16 +50,16 @@ def _height_energy(
     h(s) = h(s0) + g·(s - s0), with the gradient g at the likeliest shape s0.
     """
     exact = body.to(device="cpu", dtype=torch.float64)
-    at = mean.detach().cpu().double().requires_grad_()
+    likeliest = mean.detach().cpu().double().requires_grad_()
     with torch.enable_grad():
-        tall = exact.height(at)
-        (slope,) = torch.autograd.grad(tall, at)
-    rest = float(tall.detach()) - float(slope @ at.detach()) - metres
+        height = exact.height(likeliest)
+        (slope,) = torch.autograd.grad(height, likeliest)
+    error_at_zero = float(height.detach()) - float(slope @ likeliest.detach()) - metres
     slope = slope.to(body.template)
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
-        return 0.5 * ((shape @ slope + rest) / std).square() * _frames_at_30_hz(estimate)
+        return 0.5 * ((shape @ slope + error_at_zero) / std).square() * _frames_at_30_hz(estimate)
 
     return energy
 

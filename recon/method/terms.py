@@ -26,18 +26,18 @@ class Term:
 
     def rows(self, index: Tensor) -> "Term":
         """Return the term with the data of the clips `index` of the batch."""
-        held = isinstance(self.energy, TensorStruct)
-        return replace(self, energy=cast(Any, self.energy)[index]) if held else self
+        tensors = isinstance(self.energy, TensorStruct)
+        return replace(self, energy=cast(Any, self.energy)[index]) if tensors else self
 
     def to(self, *, device: str) -> "Term":
         """Return the term with the data of its energy on the given device."""
-        held = isinstance(self.energy, TensorStruct)
-        return replace(self, energy=cast(Any, self.energy).to(device=device)) if held else self
+        tensors = isinstance(self.energy, TensorStruct)
+        return replace(self, energy=cast(Any, self.energy).to(device=device)) if tensors else self
 
 
 @dataclass(frozen=True)
 class PriorEnergy:
-    """An energy: the part of that name of -log p of the stage's prior."""
+    """An energy: the part called `name` of -log p of the stage's prior."""
 
     name: str
 

@@ -21,7 +21,7 @@ def at_observation_times(
     start_time: float,
     moments: int,
 ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-    """Interpolate values of a motion at an observation's frames; return also which it covers.
+    """Interpolate values of a motion at an observation's frames; also return which it covers.
 
     Values are linear between the motion's frames. Frames of the observation before or after the
     motion are left out.
@@ -47,7 +47,7 @@ def at_observation_times(
 
 
 def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) -> range:
-    """Return a clock's frame numbers from `start` to `stop` seconds; data may lack some."""
+    """Return a clock's frame numbers from `start` to `stop` seconds, even beyond the data."""
     first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
     return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 

@@ -146,13 +146,13 @@ def objective(
         moved: unknowns of some clips at the solver's variables: called with those of `start`,
             these variables and the numbers of the clips.
     """
-    bound, bound_to = (stage, start), torch.arange(len(start.scene.offsets))
+    cached, cached_rows = (stage, start), torch.arange(len(start.scene.offsets))
 
     def terms(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
-        nonlocal bound, bound_to
-        if active is not bound_to:  # the same object means the same rows
-            bound, bound_to = rows_of(stage, start, active), active
-        some, base = bound
+        nonlocal cached, cached_rows
+        if active is not cached_rows:  # the same object means the same rows
+            cached, cached_rows = rows_of(stage, start, active), active
+        some, base = cached
         return some.values(moved(base, x, active).estimate(some.prior, body, some.portion))
 
     return terms

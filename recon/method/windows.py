@@ -99,7 +99,7 @@ def joined_windows(motions: Sequence[Motion]) -> Motion:
 
 
 def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
-    """Resample a motion to frames counted from the time `origin`; return also the first number.
+    """Resample a motion to frames numbered from time `origin`; return the first number, too.
 
     The last frame is the first one at or after the motion's end.
     """

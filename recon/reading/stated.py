@@ -209,11 +209,11 @@ def background_camera(
     T = np.eye(4)[None]
     if moved is not None:
         # rotate the lines of all pictures into the view of the middle picture
-        middle = np.linalg.inv(moved.at(moved.frames[[len(moved.frames) // 2]])[0])
-        T = middle @ moved.at(frames)
+        middle = np.linalg.inv(moved.poses_at(moved.frames[[len(moved.frames) // 2]])[0])
+        T = middle @ moved.poses_at(frames)
         images = [
             _turned_segments(one, focal, (middle @ pose)[:3, :3])
-            for one, pose in zip(images, moved.at(numbers), strict=True)
+            for one, pose in zip(images, moved.poses_at(numbers), strict=True)
         ]
     metric = moved is None or not moved.places.any()
     told = find_vertical(images, max(camera.image_size), focal, camera.focal_std)
@@ -257,9 +257,9 @@ def _with_motion(
     focal = float(matrix[[0, 1], [0, 1]].mean())
     pixels = undistorted_pixels(behind.pixels, camera) - matrix[:2, 2]
     seen = behind.frame, behind.point, pixels, focal
-    moved = find_turning(*seen, known=camera.focal_known)
+    moved = find_turning(*seen, focal_known=camera.focal_known)
     if moved is None:
-        moved = find_path(*seen, known=camera.focal_known, rate=rate)
+        moved = find_path(*seen, focal_known=camera.focal_known, rate=rate)
     if isinstance(moved, str):
         note = (
             f"{found.name}: its background moves, so the camera was carried or held in the hand; "

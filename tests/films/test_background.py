@@ -97,18 +97,20 @@ def test_turns_and_focal_length_of_a_pan_are_found():
     kept = behind.frame != 11  # a frame that the camera dropped
     found = find_turning(
         behind.frame[kept], behind.point[kept], behind.pixels[kept] - MIDDLE, 1.15 * FOCAL,
-        known=False,
+        focal_known=False,
     )  # fmt: skip
     assert found is not None
     assert found.focal_told
     assert found.focal == pytest.approx(FOCAL, rel=0.02)
-    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.at(np.arange(FRAMES))[:, :3, :3])
+    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.poses_at(np.arange(FRAMES))[:, :3, :3])
     assert np.degrees(off.magnitude().max()) < 0.5
 
 
 def test_known_focal_length_is_kept():
     behind = panned()
-    found = find_turning(behind.frame, behind.point, behind.pixels - MIDDLE, FOCAL, known=True)
+    found = find_turning(
+        behind.frame, behind.point, behind.pixels - MIDDLE, FOCAL, focal_known=True
+    )
     assert found is not None
     assert not found.focal_told
     assert found.focal == FOCAL
@@ -182,7 +184,7 @@ def test_path_that_cannot_be_told_is_said_to_be_needed():
     behind, _ = carried(0.004, noise=0.5)
     guess = guessed_camera((WIDTH, HEIGHT))
     pixels = behind.pixels - MIDDLE
-    small = find_path(behind.frame, behind.point, pixels, FOCAL, known=True, rate=30.0)
+    small = find_path(behind.frame, behind.point, pixels, FOCAL, focal_known=True, rate=30.0)
     assert isinstance(small, str)
     chance = np.random.default_rng(0)
     torn = replace(behind, pixels=chance.uniform(0, 2 * MIDDLE, behind.pixels.shape))

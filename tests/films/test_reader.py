@@ -209,7 +209,7 @@ def test_a_file_that_is_no_network_of_blazepose_is_refused(film, tmp_path):
     with pytest.raises(recon.ReconError, match=r"expected a network \(.tflite\)"):
         read_film(film, detector=str(wrong))
     other = MODELS / "src" / "recon_film_models" / "pose_detection.tflite"
-    with pytest.raises(recon.ReconError, match=r"with an output of \(195,\)"):
+    with pytest.raises(recon.ReconError, match=r"with an output of shape \(195,\)"):
         read_film(film, detector=str(other))
 
 

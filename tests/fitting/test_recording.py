@@ -69,7 +69,7 @@ def test_a_walk_of_few_moments_is_one_motion_with_its_stretches_told(truth, tmp_
 @pytest.mark.numerics
 @pytest.mark.slow
 def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch):
-    monkeypatch.setattr(gait, "_COUNTED", -1e9)  # no cycle is as good as that
+    monkeypatch.setattr(gait, "_NOISE_ENERGY", -1e9)  # no cycle is as good as that
     told = recon.complete(seen(truth), WholeRecording(steps="pose")).stretches
     assert {one.prior for one in told} == {"pose"}
     assert any(one.cycles > 0 for one in told)
