@@ -59,7 +59,7 @@ class _WantedMeasures:
     """Wanted sex, height (m) and weight (kg): a number, below or above average, or None."""
 
     sex: _FromAverage | None = None
-    """Above the average is a man."""
+    """ABOVE means a man, BELOW a woman."""
     height: _FromAverage | float | None = None
     weight: _FromAverage | float | None = None
 

@@ -90,7 +90,7 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
 
 
 def hint_at_adult(size: float, units: Sequence[str] = _UNUSUAL) -> str:
-    """Return a hint for messages if a size fits an adult in one of some units; else no text."""
+    """Return a hint, for messages, at a unit in which a size fits an adult; else no text."""
     found = [one for one in units if _ADULT[0] <= size * METRES[one] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
@@ -138,7 +138,7 @@ def unit_of_path(
     up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
-    """The unit of a body's path in which feet in contact stand still; notes if not metres.
+    """Return the unit of a path in which feet in contact stand still, with notes if not metres.
 
     For somebody who hardly moves away, it is the unit in which the feet are at height zero.
 

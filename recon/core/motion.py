@@ -14,7 +14,7 @@ from recon.core.struct import TensorStruct
 if TYPE_CHECKING:
     from recon.core.camera import Camera
     from recon.core.fingers import Hands
-else:  # at run time Any replaces these, whose modules most motions need not import
+else:  # only annotations use these: Any at run time saves importing their modules
     from typing import Any as Camera
     from typing import Any as Hands
 
@@ -60,7 +60,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Mask of valid frames whose neighbours at distance `step` are valid; ends cut off."""
+        """Mask of frames valid with both neighbours `step` frames away; the ends are left out."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after

@@ -68,7 +68,7 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
         several = any(_is_sensor(one) for one in points)
         arrays = [_points_array(one) for one in points] if several else _points_array(points)
         return arrays, None if time is None else float(str(time))  # float("True") raises
-    except Exception as error:  # bad lines are reported; the stream goes on
+    except Exception as error:  # the caller reports the bad line, and goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '
             f"{line.strip()[:60]!r} ({error!s:.80})"

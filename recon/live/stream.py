@@ -90,7 +90,7 @@ class Stream:
         )
         self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
-        self._follows_one = False  # whether only one moment was pushed, which set the clock
+        self._only_first_pushed = False  # true while a single moment sets the clock
         self._other_clock: float | None = None
         self._given: float | None = None
         self._findings: list[Finding] = []
@@ -166,7 +166,7 @@ class Stream:
         else:
             steps = math.floor((moment.time - last) * sensors.fps + 0.5)
         self._other_clock = None
-        if steps < 1 and self._follows_one:
+        if steps < 1 and self._only_first_pushed:
             # if the first time is wrong, all later moments would seem late: begin with the second
             self._end_tracking()
             self._add_finding(
@@ -191,7 +191,7 @@ class Stream:
         self, moments: list[Moment], sensors: StreamSensors
     ) -> LiveEstimate | None:
         """Add moments that follow the last; return the newest estimate that becomes final."""
-        self._follows_one = self._last is None
+        self._only_first_pushed = self._last is None
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:
@@ -208,9 +208,9 @@ class Stream:
         return self._newest_with_findings(done)
 
     def _insert_late(self, moment: Moment, frames_back: int) -> None:
-        """Store a late moment `frames_back` frames before the last, unless that has data."""
-        put_in = self._tracking is not None and self._tracking.insert(moment, frames_back)
-        late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
+        """Store a late moment `frames_back` frames before the last, unless that frame has data."""
+        inserted = self._tracking is not None and self._tracking.insert(moment, frames_back)
+        late = "late and was put in" if inserted else f"after {self._last:.3f} s and was left out"
         self._add_finding("frame order", f"the moment {moment.time:.3f} s came {late}")
 
     def _after_clock_jump(

@@ -134,7 +134,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     """
     posed = body.pose(motion)
     first = body.pose(motion.window(0, 1)).vertices[0]
-    kinds = (
+    masses = (
         vertex_masses_as_published(first, Parts.of(body)),
         vertex_masses(body, motion.shape),
     )
@@ -143,7 +143,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     nearest = (torch.arange(motion.frames, device=first.device) - step).clamp(0, last)
     old, new = (
         Dynamics(found.mass, centre_of_mass(posed, mass), *_at_frames(found, nearest))
-        for mass in kinds
+        for mass in masses
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
     return torch.stack((zmp_of_humos_code(old), zmp(new)), -2), share_carried(new) >= 0.5
@@ -162,7 +162,7 @@ def _surface_samples(
     contacts: Tensor | None,
     points: Tensor,
 ) -> PhysicsSamples:
-    """Measure frames start, ..., stop - 1; those from `before` on give speeds."""
+    """Measure frames start, ..., stop - 1; those from `before` on serve to compute speeds."""
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames

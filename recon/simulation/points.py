@@ -213,8 +213,8 @@ def sampled_on_surface(
     s² and t uniform (Osada et al. 2002).
     """
     a, b, c = vertices[faces].swapaxes(0, 1)
-    reach = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
-    face = np.searchsorted(reach, reach[-1] * random.random(count), side="right")
+    area_sum = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
+    face = np.searchsorted(area_sum, area_sum[-1] * random.random(count), side="right")
     s, t = np.sqrt(random.random((count, 1))), random.random((count, 1))
     a, b, c = (vertices if values is None else values)[faces[face]].swapaxes(0, 1)
     return a + s * ((1 - t) * (b - a) + t * (c - a))
