@@ -344,19 +344,19 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(to_head).max())
-    ways: list[Up] = [signed_axis(axis, to_head[axis]) for axis in range(3)]
+    axes: list[Up] = [signed_axis(axis, to_head[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
     if shown.any(1).sum() < 2:
         return None
-    moved = np.array([_height_range(way, positions, shown) for way in ways])
+    moved = np.array([_height_range(direction, positions, shown) for direction in axes])
     above = np.abs(to_head) >= 0.5 * size
     best = int(np.where(above, moved, np.inf).argmin())
     others = np.delete(moved, best)[np.delete(above, best)]
     if moved[best] > _STEADY * others.min(initial=np.inf):
         return None
-    return ways[best], f"up axis {ways[best]}: the lowest point stays at the floor along it"
+    return axes[best], f"up axis {axes[best]}: the lowest point stays at the floor along it"
 
 
 def _height_range(

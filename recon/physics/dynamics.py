@@ -22,7 +22,7 @@ SPAN = 1 / 20
 
 @dataclass(frozen=True)
 class Dynamics(TensorStruct):
-    """Mass, centre of mass, its acceleration, and rate of angular momentum, per inner frame."""
+    """Mass, centre of mass, its acceleration and rate of angular momentum; no end frames."""
 
     mass: Float[Tensor, "*batch"]
     """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""

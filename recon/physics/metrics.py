@@ -232,14 +232,14 @@ def humos_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
     `dynamic_stability` is the share of frames whose released ZMP is inside the base of support;
     without a base it is not. `bos_distance` is the mean over the frames outside of one.
     """
-    depth, out = -samples.lowest, samples.has_base & (samples.released_distance > 0)
+    depth, unstable = -samples.lowest, samples.has_base & (samples.released_distance > 0)
     stable = samples.has_base & (samples.released_distance < 0)
     return {
         "penetrate": metrics.mean(depth, depth > TOLERANCE) or 0.0,
         "float": metrics.mean(-depth, -depth >= TOLERANCE) or 0.0,
         "skate": metrics.mean(samples.joints_touch.double()[samples.stepped]),
         "dynamic_stability": metrics.mean(stable.double()),
-        "bos_distance": metrics.mean(samples.released_distance, out),
+        "bos_distance": metrics.mean(samples.released_distance, unstable),
     }
 
 
@@ -265,11 +265,11 @@ def balance_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
     """Shares of supported and of flying frames whose ZMP lies in the base of support."""
     stable = (samples.has_base & (samples.distance < 0)).double()
     carried, flying = samples.known & samples.carried, samples.known & ~samples.carried
-    out = carried & samples.has_base & (samples.distance > 0)
+    unstable = carried & samples.has_base & (samples.distance > 0)
     return {
         "stability_supported": metrics.mean(stable, carried),
         "stability_flight": metrics.mean(stable, flying),
-        "bos_distance_supported": metrics.mean(samples.distance, out),
+        "bos_distance_supported": metrics.mean(samples.distance, unstable),
         "flight": metrics.mean(flying.double(), samples.known),
     }
 

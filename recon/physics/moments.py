@@ -60,8 +60,8 @@ def joint_moments(
         ValueError: when the body is another one.
     """
     body = body.to(device="cpu", dtype=torch.float64)
-    here = motion.detach().to(device="cpu", dtype=torch.float64)
-    posed, step = body.pose(here), difference_step(motion.fps)
+    precise = motion.detach().to(device="cpu", dtype=torch.float64)
+    posed, step = body.pose(precise), difference_step(motion.fps)
     masses = forces.mass * vertex_masses_of_segments(body)
     force, centre = forces.force.numpy().copy(), forces.centre.numpy().copy()
     force_std, centre_std = forces.force_std.numpy().copy(), forces.centre_std.numpy().copy()
@@ -74,7 +74,7 @@ def joint_moments(
     moments: dict[str, Float[np.ndarray, " time"]] = {}
     std: dict[str, Float[np.ndarray, " time"]] = {}
     carrier = body.weights.argmax(-1)
-    for name, axis in leg_axes(body, here, model).items():
+    for name, axis in leg_axes(body, precise, model).items():
         word, end = name.split("_")[0], name[-1]
         if word not in _JOINTS:
             continue

@@ -163,7 +163,7 @@ def without_pose(file: PointsFile) -> PointsFile:
     """
     camera = file.camera
     if camera is None or camera.T_camera_world is None or len(camera.T_camera_world) != 1:
-        raise ReconError("expected a fixed sensor: a moving one needs its poses")
+        raise ReconError("expected a fixed sensor, since points of a moving one need its poses")
     T = camera.T_camera_world[0]
     points = file.points @ T[:3, :3].T + T[:3, 3]
     return replace(file, points=points, camera=replace(camera, T_camera_world=None))
@@ -250,11 +250,11 @@ def _world_points(
 ) -> Float[np.ndarray, "points 3"]:
     """Convert at most `count` of the kept pixels to world points, some missing or outliers."""
     row, column = np.nonzero(kept)
-    some = random.random(len(row)) >= corruption.missing_points
-    row, column = row[some], column[some]
+    chosen = random.random(len(row)) >= corruption.missing_points
+    row, column = row[chosen], column[chosen]
     if len(row) > count:
-        some = np.sort(random.permutation(len(row))[:count])
-        row, column = row[some], column[some]
+        chosen = np.sort(random.permutation(len(row))[:count])
+        row, column = row[chosen], column[chosen]
     pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
     sensor = camera.to(dtype=torch.float64)
     cloud = sensor.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
