@@ -47,7 +47,7 @@ def part_volumes(
         _KNOWN[parts.of_vertex] = Openings.of(parts)
     openings = _KNOWN[parts.of_vertex]
     edges = _corners_of_faces(vertices, openings.edges)
-    # means of the loops' vertices: each is the first vertex of exactly one edge of its loop
+    # each vertex of a loop begins one of its edges, so these means are those of all its vertices
     centres = _group_means(edges[..., 0, :], openings.loop_of_edge, len(openings.part_of_loop))
     of_edge = openings.part_of_loop[openings.loop_of_edge]
     apex = centres.index_select(-2, openings.loop_of_edge)

@@ -211,11 +211,11 @@ def _forces_by_foot(
         repeat_ends(moving.acceleration, step),
         repeat_ends(moving.centre, step),
     )
-    whole = moving.mass * acceleration
-    up = share * (whole[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
+    inertia = moving.mass * acceleration
+    up = share * (inertia[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
     height = mass_centre[:, None, 2:].clamp(min=LEAST_HEIGHT_M)
     aimed = up[..., None] * (mass_centre[:, None, :2] - centre) / height
-    rest = whole[:, :2] * share.sum(-1, keepdim=True) - aimed.sum(-2)
+    rest = inertia[:, :2] * share.sum(-1, keepdim=True) - aimed.sum(-2)
     return torch.cat((aimed + share[..., None] * rest[:, None], up[..., None]), -1)
 
 
@@ -227,8 +227,8 @@ def _pressure_centres(
     The weights are inverse variances; the two variances add up to the square of the misfit.
     """
     inside = target[:, None].maximum(points.amin(-2)).minimum(points.amax(-2))
-    part = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
-    return pressed.lerp(inside, part * trusted[..., None].to(pressed))
+    weight = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
+    return pressed.lerp(inside, weight * trusted[..., None].to(pressed))
 
 
 def _smoothed_within_stances(

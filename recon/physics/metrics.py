@@ -56,7 +56,7 @@ class PhysicsSamples(TensorStruct):
     stepped: Bool[Tensor, " frames"]
     """Whether there is a next frame."""
     joints_touch: Bool[Tensor, "frames 4"]
-    """Ankles and toes under 1.5 cm in this frame and the next, and not in the same place."""
+    """Ankles and toes that are lower than 1.5 cm in this frame and the next, but moved between."""
     sunk_step: Float[Tensor, " frames"]
     """Mean horizontal step of vertices at or below the ground in both frames, m per 1/20 s."""
     soles_touch: Bool[Tensor, "frames 2"]

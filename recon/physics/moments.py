@@ -29,7 +29,7 @@ class JointMoments:
     """Joint moments of the legs on the distal segment; positive ones increase the coordinate."""
 
     moments: dict[str, Float[np.ndarray, " time"]]
-    """Newton metres by coordinate, as `hip_flexion_r`."""
+    """Newton metres, by the coordinate's name, such as `hip_flexion_r`."""
     std: dict[str, Float[np.ndarray, " time"]]
     """Standard deviations that follow from those of force, its place and its twist; N m."""
     measured: Bool[np.ndarray, "time 2"]
