@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.surfels import Surfels, tukey_kernel, tukey_scale
-from recon.body.derivatives import BELOW, joints_by_shape
+from recon.body.derivatives import BELOW, joint_jacobian_by_shape
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.arrays import cached_constant
@@ -335,7 +335,7 @@ def _shifts_by_shape(
 ) -> Float[Tensor, "moments 22 3 shape"]:
     """Derivatives of the translation part of `PosedBody.bones` by the shape, world, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
-    return joints_by_shape(orientations, body, count) - orientations @ directions
+    return joint_jacobian_by_shape(orientations, body, count) - orientations @ directions
 
 
 def _bone_transforms(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:

@@ -97,7 +97,7 @@ _HOMES = {
     "Motion": "recon.core.motion",
 }
 
-_FORMER = {
+_MOVED = {
     "Stage": "recon.method.stages",
     "Term": "recon.method.terms",
     "solve": "recon.method.reconstruction",
@@ -118,8 +118,8 @@ _with_known_names, __dir__ = _lazy(__name__, _HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    if name in _FORMER:
-        home = _FORMER[name]
-        warn(f"recon.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(home), name)
+    if name in _MOVED:
+        module = _MOVED[name]
+        warn(f"recon.{name} is now {module}.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(module), name)
     return _with_known_names(name)

@@ -14,7 +14,7 @@ from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.core.units import METRES, Hand, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_unit, to_z_up
 from recon.formats.estimates import BodyEstimate, read_estimate
 from recon.formats.opening import load_arrays
 
@@ -82,7 +82,7 @@ def estimate_given(
         fps=rate,
     )
     pelvis = body.rest_joints(coefficients)[0]
-    check_override(unit)
+    check_unit(unit)
     if unit is None:
         feet = body.pose(placed).joints[:, list(FEET)] - placed.translation[:, None]
         path, steps = translation[read.known], feet.double().numpy()[read.known]

@@ -119,10 +119,8 @@ def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "
         ValueError: when the body is another one.
     """
     axes = _segment_axes(motion, body)
-    found = [
-        one.degrees(axes[proximal], axes[distal], end) for one, proximal, distal, end in _PAIRS
-    ]
-    return dict(zip(ISB_ANGLES, np.concatenate(found, -1).T, strict=True))
+    angles = [triple.degrees(axes[near], axes[far], end) for triple, near, far, end in _PAIRS]
+    return dict(zip(ISB_ANGLES, np.concatenate(angles, -1).T, strict=True))
 
 
 def isb_angle_derivatives(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angles 66"]:
@@ -142,12 +140,12 @@ def isb_angle_derivatives(motion: Motion, body: BodyModel) -> Float[np.ndarray, 
     axes, turns = _segment_axes(motion, body), so3.exp(_STEP * torch.eye(3).double()).numpy()
     bones = body.pose(motion).orientations.detach().double().cpu().numpy()
     found = np.zeros((motion.frames, len(_PAIRS), 3, 22, 3))
-    for row, (one, near, far, end) in enumerate(_PAIRS):
+    for row, (triple, near, far, end) in enumerate(_PAIRS):
         before, after = axes[near], axes[far]
-        here = one.degrees(before, after, end)
-        away = np.stack([one.degrees(before, after @ turn, end) for turn in turns], -1)
-        away -= here[..., None]
-        by_own_axes = (away - 360 * np.round(away / 360)) / _STEP
+        unturned = triple.degrees(before, after, end)
+        change = np.stack([triple.degrees(before, after @ turn, end) for turn in turns], -1)
+        change -= unturned[..., None]
+        by_own_axes = (change - 360 * np.round(change / 360)) / _STEP
         for joint in _joints_between(near, far):
             own = np.swapaxes(after, -1, -2) @ bones[:, joint]
             found[:, row, :, joint] = by_own_axes @ own

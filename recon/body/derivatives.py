@@ -21,9 +21,9 @@ class BonePoints:
     """
 
     share: Float[Tensor, "points 22"]
-    """The numbers m_vj; they add up to one over the joints j."""
+    """Numbers m_vj, the share of joint j in point v; they add up to one over j."""
     place: Float[Tensor, "points 22 3"]
-    """The vectors c_vj, metres."""
+    """Vectors c_vj, which turn with bone j, metres."""
     place_by_shape: Float[Tensor, "shape points 22 3"]
     """Their derivatives by the coefficients of the shape."""
     own_joints: tuple[int, ...] | None = None
@@ -104,8 +104,8 @@ class BonePoints:
         body: BodyModel,
     ) -> Float[Tensor, "time points 3 shape"]:
         """Jacobian of the points by the shape coefficients, metres."""
-        count = len(self.place_by_shape)
-        return self.jacobian_by_shape_of(orientations, joints_by_shape(orientations, body, count))
+        joints = joint_jacobian_by_shape(orientations, body, len(self.place_by_shape))
+        return self.jacobian_by_shape_of(orientations, joints)
 
     def jacobian_by_shape_of(
         self,
@@ -119,7 +119,7 @@ class BonePoints:
         return parts + (self.share @ joints.flatten(2)).unflatten(2, joints.shape[2:])
 
 
-def joints_by_shape(
+def joint_jacobian_by_shape(
     orientations: Float[Tensor, "time 22 3 3"], body: BodyModel, count: int
 ) -> Float[Tensor, "time 22 3 shape"]:
     """Return the Jacobian of the 22 joints by the first `count` shape coefficients, metres."""

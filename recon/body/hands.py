@@ -55,9 +55,9 @@ class HandModel:
     """Finger bones and joint axes of a person's left and right hand, in double precision."""
 
     directions: Float[Tensor, "2 20 3"]
-    """Of every bone in the flat hand, body axes, by the point that it ends in."""
+    """Direction of every bone in the flat hand, body axes, in the order of their end points."""
     lengths: Float[Tensor, "2 20"]
-    """Of every bone, metres."""
+    """Length of every bone, metres."""
     axes: Float[Tensor, "2 22 3"]
     """Axis in the flat hand that every angle turns about, body axes."""
 

@@ -59,7 +59,7 @@ class _WantedMeasures:
     """Wanted sex, height (m) and weight (kg): a number, below or above average, or None."""
 
     sex: _FromAverage | None = None
-    """Above the average is a man."""
+    """ABOVE means a man, BELOW a woman."""
     height: _FromAverage | float | None = None
     weight: _FromAverage | float | None = None
 
@@ -197,21 +197,21 @@ def _parsed_measure(spec: str, name: str, value: str) -> float:
 def _shape_with_measures(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     exact = body.to(dtype=torch.float64)
     base, free = _mean_of_sex(wanted.sex, exact)
-    tall, heavy = exact.height, partial(body_weight, exact)
+    height_of, weight_of = exact.height, partial(body_weight, exact)
     metres, kilograms = wanted.height, wanted.weight
     if isinstance(metres, _FromAverage):
         # height is linear in coefficients of std 1: its std is the length of its gradient
-        values, slopes = _values_and_gradients(base, (tall,), free)
+        values, slopes = _values_and_gradients(base, (height_of,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, _FromAverage):
         # heavy and slim are meant relative to other people of the same height
-        goal = float(tall(base)) if metres is None else metres
-        shape = nearest_shape(base, (tall,), (goal,), free)
-        _, slopes = _values_and_gradients(shape, (tall, heavy), free)
+        goal = float(height_of(base)) if metres is None else metres
+        shape = nearest_shape(base, (height_of,), (goal,), free)
+        _, slopes = _values_and_gradients(shape, (height_of, weight_of), free)
         up = slopes[0] / slopes[0].norm()
         wide = slopes[1] - (slopes[1] @ up) * up
         return (shape + kilograms.value * ONE_IN_TWENTY * wide / wide.norm()).to(body.template)
-    pairs = [(of, x) for of, x in ((tall, metres), (heavy, kilograms)) if x is not None]
+    pairs = [(of, x) for of, x in ((height_of, metres), (weight_of, kilograms)) if x is not None]
     if pairs:
         base = nearest_shape(base, [of for of, _ in pairs], [x for _, x in pairs], free)
     return base.to(body.template)
@@ -238,6 +238,6 @@ def _values_and_gradients(
 ) -> tuple[Float[Tensor, " measures"], Float[Tensor, "measures shape"]]:
     """Return body measures of a shape, and their gradients times `projection`."""
     at = shape.detach().requires_grad_()
-    values = [of(at) for of in measures]
+    values = [measure(at) for measure in measures]
     slopes = torch.stack([torch.autograd.grad(value, at)[0] for value in values])
     return torch.stack(values).detach(), slopes @ projection

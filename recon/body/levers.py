@@ -62,8 +62,8 @@ class Levers(TensorStruct):
 
     points: Float[Tensor, "88 points"]
     arms: Float[Tensor, "88 columns"]
-    """Point by point, the columns of its levers about the 22 joints; zero where it does not hang
-    from the joint."""
+    """For every point, the columns of its lever arms about the 22 joints; zero for joints that do
+    not move it."""
 
     @classmethod
     def of(cls, points: BonePoints) -> "Levers":
@@ -71,10 +71,9 @@ class Levers(TensorStruct):
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
-        # a lever arm is Σ share (point - joint) over the joints below the turning one; `hung` is
-        # the factor Σ share of the turning joint's position
-        hung = torch.diag_embed(points.share @ below.mT)
-        arms[..., 3] -= hung
+        # a lever arm begins at the turning joint: subtract its position times the shares below it
+        shares_below = torch.diag_embed(points.share @ below.mT)
+        arms[..., 3] -= shares_below
         return cls(
             columns.flatten(1).mT.contiguous(), arms.flatten(2).flatten(0, 1).mT.contiguous()
         )
@@ -171,7 +170,7 @@ class ShapeLevers(TensorStruct):
     """Constant matrices that map bone poses to the points' Jacobians by shape coefficients."""
 
     columns: Float[Tensor, "88 columns"]
-    """Point by point, those of all coefficients."""
+    """For every point, one column per shape coefficient."""
     root: Float[Tensor, "3 shape"]
     """Derivatives of the place of the root at rest, which all points share."""
 
@@ -181,11 +180,11 @@ class ShapeLevers(TensorStruct):
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
-        hung = points.share @ BELOW.to(joints).mT
+        shares_below = points.share @ BELOW.to(joints).mT
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
-            grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        # zeros are multiplied by the positions of joints, which `pose` has beside the rotations
+            grown[:, parent] += shares_below[:, child, None, None] * bones[child - 1]
+        # `pose` holds joint positions beside the rotations; zeros leave the positions out
         columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 

@@ -121,7 +121,7 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
     return {label: _vertex_number(path, label, point) for label, point in entries.items()}
 
 
-def mapping_to_write(labels: Sequence[str]) -> str:
+def advice_on_mapping(labels: Sequence[str]) -> str:
     """Return advice for error messages: how to write a mapping file for these labels."""
     shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
     more = ", ..." if len(labels) > 3 else ""

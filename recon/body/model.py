@@ -159,7 +159,7 @@ class PosedBody:
         unposed = self.model.rest_vertices(self.shape, vertices)
         homogeneous = torch.cat((unposed, torch.ones_like(unposed[..., :1])), -1)
         left = (weights[:, :, None] * homogeneous[..., :, None, :]).flatten(-2)
-        # from the shape (*batch time joints 4 3) to (*batch joints·4 time·3), for one product
+        # reshape (*batch time joints 4 3) to (*batch joints·4 time·3), for one matrix product
         right = self.bones.movedim(-4, -2).flatten(-4, -3).flatten(-2)
         skinned = (left @ right).unflatten(-1, (self.joints.shape[-3], 3)).movedim(-2, -3)
         if self.model.pose_directions is None:

@@ -47,8 +47,8 @@ def checked_for_body(
     bundled = body.checksum == BodyModel.load().checksum
     if file.checksum is None and file.format_version == 0 and bundled:
         raise ReconError(
-            f"{path}: does not name its body, as files of AMASS do not: its betas are shape "
-            f"coefficients of a SMPL-family body, which mean nothing on the bundled one; {remedy}"
+            f"{path}: does not name its body (files of AMASS never do), so its betas belong to a "
+            f"body of the SMPL family and mean nothing on the bundled one; {remedy}"
         )
     if file.checksum not in (None, body.checksum):
         raise ReconError(
@@ -58,8 +58,8 @@ def checked_for_body(
     missing = body.shape_size - file.motion.shape.shape[-1]
     if missing < 0:
         raise ReconError(
-            f"{path}: has {file.motion.shape.shape[-1]} shape coefficients, the body "
-            f"{body.name!r} {body.shape_size}; {remedy}"
+            f"{path}: has {file.motion.shape.shape[-1]} shape coefficients, but the body "
+            f"{body.name!r} has only {body.shape_size}; {remedy}"
         )
     shape = torch.nn.functional.pad(file.motion.shape, (0, missing))
     return replace(file, motion=file.motion.replace(shape=shape))

@@ -29,10 +29,10 @@ class Parts(TensorStruct):
     """The body part of every vertex, and the vertex's share of this part's skin area."""
 
     of_vertex: Int[Tensor, " vertices"]
-    """Part whose joints carry most of the vertex."""
+    """Number of the part whose joints have most of the vertex's skinning weight."""
     faces: Int[Tensor, "faces 3"]
     skin: Float[Tensor, " vertices"]
-    """Share of every vertex in the skin of its part, of the average body."""
+    """Each vertex's share of the skin area of its part, on the average body."""
 
     @classmethod
     def of(cls, body: BodyModel) -> "Parts":

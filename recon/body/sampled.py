@@ -28,7 +28,7 @@ class SampledSurface(TensorStruct):
 
     vertices: Int[Tensor, " points"]
     areas: Float[Tensor, " points"]
-    """Skin nearer to this point than to others of its bone, m², of the average body."""
+    """Area of skin that is nearest to this point of its bone, on the average body, m²."""
     part: Int[Tensor, " points"]
     sole: Bool[Tensor, " points"]
     """Points that touch the ground when the body stands in its rest pose."""

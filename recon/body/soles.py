@@ -63,7 +63,7 @@ class Stance:
     slow: Bool[Tensor, "time 2"]
     """Ankle or toe is slower than 0.25 m/s."""
     firm: Bool[Tensor, "time 2"]
-    """Ankle and toe are."""
+    """Ankle and toe are both slower than that."""
 
     @classmethod
     def of(

@@ -15,9 +15,9 @@ class Openings:
     """The body part of every face, and the loops of open edges at which parts are cut."""
 
     of_face: Int[Tensor, " faces"]
-    """Part of most corners; the parts tile the surface."""
+    """Part that most of the face's corners belong to."""
     edges: Int[Tensor, "edges 2"]
-    """Edges of a part that no other face of it shares, in the order of its own face."""
+    """Edges that only one face of their part has, in the direction of this face."""
     loop_of_edge: Int[Tensor, " edges"]
     """Closed loop that each edge belongs to."""
     part_of_loop: Int[Tensor, " loops"]
@@ -47,7 +47,7 @@ def part_volumes(
         _KNOWN[parts.of_vertex] = Openings.of(parts)
     openings = _KNOWN[parts.of_vertex]
     edges = _corners_of_faces(vertices, openings.edges)
-    # means of the loops' vertices: each is the first vertex of exactly one edge of its loop
+    # each vertex of a loop begins one of its edges, so these means are those of all its vertices
     centres = _group_means(edges[..., 0, :], openings.loop_of_edge, len(openings.part_of_loop))
     of_edge = openings.part_of_loop[openings.loop_of_edge]
     apex = centres.index_select(-2, openings.loop_of_edge)
@@ -86,8 +86,8 @@ def _open_edges(faces: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor,
 def _loops_of_edges(edges: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor, Tensor]:
     """Group open edges into closed loops; return each edge's loop and each loop's part."""
     # one node per part and vertex, so that loops of neighbouring parts stay apart
-    names, place = torch.unique(part[:, None] * vertex_count + edges, return_inverse=True)
-    first = torch.arange(len(names), device=edges.device)
+    nodes, place = torch.unique(part[:, None] * vertex_count + edges, return_inverse=True)
+    first = torch.arange(len(nodes), device=edges.device)
     while True:
         # connected components by pointer jumping: nodes take the least label of their neighbours
         least = first[place].amin(-1)

@@ -130,8 +130,8 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
 
     from recon.body.marker_labels import (
         FEWEST_MARKERS,
+        advice_on_mapping,
         are_nameless,
-        mapping_to_write,
         match_markers,
     )
     from recon.core.errors import FormatError
@@ -154,7 +154,7 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
                 f"{path}: expected at least {FEWEST_MARKERS} markers of known places, got "
                 f"{len(known)} ({', '.join(known) or 'none'}); labels not known: "
                 f"{', '.join(unknown[:12])}{', ...' if len(unknown) > 12 else ''}; "
-                f"{mapping_to_write(unknown)}"
+                f"{advice_on_mapping(unknown)}"
             )
 
 

@@ -125,8 +125,8 @@ class Camera(TensorStruct):
         poses = self.T_camera_world
         if poses.shape[-3] == 1:
             return self
-        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
-        return self.derived(T_camera_world=poses[..., held, :, :])
+        nearest = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
+        return self.derived(T_camera_world=poses[..., nearest, :, :])
 
     def to_camera(
         self, points: Float[Tensor, "*batch points 3"]

@@ -106,7 +106,7 @@ def up_of_clouds(
     axis = int(extent.argmax())
     if extent[axis] > _PERSON[1]:
         return "z", ()
-    asked = f"give the up axis with --up, one of {', '.join(get_args(Up))}"
+    remedy = f"give the up axis with --up, one of {', '.join(get_args(Up))}"
     if extent[axis] < _UPRIGHT * np.delete(extent, axis).max():
         swing = np.ptp(ends, axis=0)
         steady = swing < max(_STEADIER * swing.min(), _SWAYS)
@@ -115,7 +115,7 @@ def up_of_clouds(
             return "z", ()
         raise UnitsError(
             f"{name}: the up axis is unknown, as the person in the clouds is not upright along "
-            f"any axis, and z = 0 need not be the floor; {asked}"
+            f"any axis, and z = 0 need not be the floor; {remedy}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR
@@ -132,14 +132,14 @@ def up_of_clouds(
         raise UnitsError(
             f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
             f"unclear: with the head where it seems to be, the body lies {below:.1f} m below the "
-            f"origin; {asked}"
+            f"origin; {remedy}"
         )
     if usual:
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(
             f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
-            f"unknown; {asked}"
+            f"unknown; {remedy}"
         )
     up = signed_axis(axis, evidence)
     return up, (f"up axis {up}: the person in the clouds stands along it",)

@@ -90,7 +90,7 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
 
 
 def hint_at_adult(size: float, units: Sequence[str] = _UNUSUAL) -> str:
-    """Return a hint for messages if a size fits an adult in one of some units; else no text."""
+    """Return a hint, for messages, at a unit in which a size fits an adult; else no text."""
     found = [one for one in units if _ADULT[0] <= size * METRES[one] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
@@ -138,7 +138,7 @@ def unit_of_path(
     up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
-    """The unit of a body's path in which feet in contact stand still; notes if not metres.
+    """Return the unit of a path in which feet in contact stand still, with notes if not metres.
 
     For somebody who hardly moves away, it is the unit in which the feet are at height zero.
 
@@ -344,19 +344,19 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(to_head).max())
-    ways: list[Up] = [signed_axis(axis, to_head[axis]) for axis in range(3)]
+    axes: list[Up] = [signed_axis(axis, to_head[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
     if shown.any(1).sum() < 2:
         return None
-    moved = np.array([_height_range(way, positions, shown) for way in ways])
+    moved = np.array([_height_range(direction, positions, shown) for direction in axes])
     above = np.abs(to_head) >= 0.5 * size
     best = int(np.where(above, moved, np.inf).argmin())
     others = np.delete(moved, best)[np.delete(above, best)]
     if moved[best] > _STEADY * others.min(initial=np.inf):
         return None
-    return ways[best], f"up axis {ways[best]}: the lowest point stays at the floor along it"
+    return axes[best], f"up axis {axes[best]}: the lowest point stays at the floor along it"
 
 
 def _height_range(

@@ -40,7 +40,7 @@ def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
         return import_module(name)
     except ImportError as error:
         lacking = "is not installed"
-        if not isinstance(error, ModuleNotFoundError):  # a library that it loads is missing
+        if not isinstance(error, ModuleNotFoundError):  # it is installed, but fails when loaded
             lacking = f"cannot be loaded ({error})"
         raise ReconError(
             f"{purpose} needs the package {package}, which {lacking}: "

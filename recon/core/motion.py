@@ -14,7 +14,7 @@ from recon.core.struct import TensorStruct
 if TYPE_CHECKING:
     from recon.core.camera import Camera
     from recon.core.fingers import Hands
-else:  # at run time Any replaces these, whose modules most motions need not import
+else:  # only annotations use these: Any at run time saves importing their modules
     from typing import Any as Camera
     from typing import Any as Hands
 
@@ -60,7 +60,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Mask of valid frames whose neighbours at distance `step` are valid; ends cut off."""
+        """Mask of frames valid with both neighbours `step` frames away; the ends are left out."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after
@@ -110,11 +110,11 @@ class Motion(TensorStruct):
     def continued_at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
         """Interpolate as `at` does; after the last frame, go on at the velocities before it."""
         start, last, slack = self.start_time, self.frames - 1, 1e-6 * self.fps
-        place = (times.double() - start) * self.fps
-        place = torch.where((place - place.round()).abs() < slack, place.round(), place)
-        before = place.floor().long().clamp(max=max(last - 1, 0))
+        frame = (times.double() - start) * self.fps
+        frame = torch.where((frame - frame.round()).abs() < slack, frame.round(), frame)
+        before = frame.floor().long().clamp(max=max(last - 1, 0))
         after = (before + 1).clamp(max=last)
-        fraction = (place - before).to(self.translation)
+        fraction = (frame - before).to(self.translation)
         a, b = self.rotations[..., before, :, :, :], self.rotations[..., after, :, :, :]
         exists_after = self.valid[..., after] | (fraction == 0)
         return Motion(
@@ -132,7 +132,7 @@ class Motion(TensorStruct):
     def carried(
         self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
     ) -> "Motion":
-        """Apply a rigid transform T of the world; `pelvis` is that of the unposed body, metres."""
+        """Apply a rigid transform T of the world; `pelvis` is its place in the unposed body, m."""
         root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
         return self.replace(
             translation=carried_translation(self.translation, T, pelvis),

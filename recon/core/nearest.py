@@ -37,10 +37,10 @@ def _nearest_by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed:
 
     found = np.zeros(present.shape, np.int64)
     rows = zip(points.numpy(), present.numpy(), surface.numpy(), allowed.numpy(), strict=True)
-    for row, (seen, here, body, open_) in enumerate(rows):
+    for row, (seen, here, body, usable) in enumerate(rows):
         if not here.any():
             continue
-        candidates = np.flatnonzero(open_)
+        candidates = np.flatnonzero(usable)
         # an unbalanced tree is built several times faster and answers almost as fast
         tree = KDTree(body[candidates], balanced_tree=False, compact_nodes=False)
         found[row, here] = candidates[tree.query(seen[here])[1]]
@@ -52,12 +52,12 @@ def _nearest_by_distances(
 ) -> Tensor:
     found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
     rows = max(1, _CHUNK // max(points.shape[-2] * surface.shape[-2], 1))
-    for some in torch.arange(len(points), device=points.device).split(rows):
+    for batch in torch.arange(len(points), device=points.device).split(rows):
         distance = torch.cdist(
-            points[some], surface[some], compute_mode="donot_use_mm_for_euclid_dist"
+            points[batch], surface[batch], compute_mode="donot_use_mm_for_euclid_dist"
         )
-        distance = torch.where(allowed[some][:, None], distance, torch.inf)
-        found[some] = distance.argmin(-1)
+        distance = torch.where(allowed[batch][:, None], distance, torch.inf)
+        found[batch] = distance.argmin(-1)
     return torch.where(present, found, 0)
 
 
@@ -90,20 +90,20 @@ def nearest_alike(
     allowed = allowed | ~allowed.any(-1, keepdim=True)
     found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
     moments = present.any(-1).nonzero()[:, 0]
-    for some in moments.split(_AT_ONCE):
-        open_ = allowed[some]
-        most = int(open_.sum(-1).max())
+    for batch in moments.split(_AT_ONCE):
+        usable = allowed[batch]
+        most = int(usable.sum(-1).max())
         # indices of the allowed points, then those of all others, both in ascending order
-        pick = torch.argsort(~open_, dim=-1, stable=True)[:, :most]
-        there = surface[some].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
+        pick = torch.argsort(~usable, dim=-1, stable=True)[:, :most]
+        there = surface[batch].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
         middle = there.mean(1, keepdim=True)  # centred, to keep rounding errors small
-        there, here = there - middle, points[some].detach() - middle
+        there, here = there - middle, points[batch].detach() - middle
         size = there.square().sum(-1, keepdim=True)
-        size = size.masked_fill(~open_.gather(1, pick)[..., None], 1e9)
-        left = torch.cat((-2 * here, torch.ones_like(here[..., :1]), kinds[some]), -1)
+        size = size.masked_fill(~usable.gather(1, pick)[..., None], 1e9)
+        left = torch.cat((-2 * here, torch.ones_like(here[..., :1]), kinds[batch]), -1)
         right = torch.cat((there, size, surface_kinds[pick]), -1)
         best = (left @ right.mT).min(-1).indices  # min is several times as fast as argmin
-        found[some] = pick.gather(1, best)
+        found[batch] = pick.gather(1, best)
     return torch.where(present, found, 0)
 
 

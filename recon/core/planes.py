@@ -308,16 +308,16 @@ def depth_noise(
     enough = np.flatnonzero(present.sum(1) >= _LEAST)
     if len(enough) == 0:
         return np.zeros(len(points))
-    looked = enough[:: -(-len(enough) // _MOMENTS)]
+    measured = enough[:: -(-len(enough) // _MOMENTS)]
     found: list[float] = []
-    for moment in looked:
+    for moment in measured:
         away = (points[moment, present[moment]] - eye[moment]).astype(np.float64)
         deviations = _plane_deviations(away)
         kept = deviations <= _WILD * np.median(deviations)
         found.append(float(np.median(_plane_deviations(away[kept]))) / NORMAL_MAD)
     padded = np.pad(found, _AROUND, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
-    return np.interp(np.arange(len(points)), looked, np.median(around, 1))
+    return np.interp(np.arange(len(points)), measured, np.median(around, 1))
 
 
 def _plane_deviations(from_sensor: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:

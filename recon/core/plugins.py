@@ -42,23 +42,23 @@ def registered_places(group: str) -> Mapping[str, str]:
     return MappingProxyType(found)
 
 
-def imported_object(place: str, what: str) -> Any:
+def imported_object(place: str, role: str) -> Any:
     """Import the class at "package.module:Class".
 
     Args:
         place: of the class.
-        what: it should be, for messages.
+        role: of the class, such as "reader", for messages.
 
     Raises:
         ReconError: when there is no such module or class.
     """
     module, colon, name = place.partition(":")
     if not colon:
-        raise ReconError(f"{what}: expected 'package.module:Class', got {place!r}")
+        raise ReconError(f"{role}: expected 'package.module:Class', got {place!r}")
     try:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ReconError(f"{what}: {place!r} cannot be imported: {error}") from error
+        raise ReconError(f"{role}: {place!r} cannot be imported: {error}") from error
 
 
 def lazy_names(

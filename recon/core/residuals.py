@@ -19,7 +19,7 @@ class Noise:
     own: float
     """Standard deviation of every coordinate in the observation's own unit.
 
-    Where neighbouring points err alike, it is so much larger that together they count as one.
+    Neighbouring points with a common error get a larger value, so that they count as one.
     """
     metres: float
     """Standard deviation at the body, metres."""
@@ -36,9 +36,9 @@ class Residuals(TensorStruct):
     """Coordinates of every point's residual, in `unit`: three in the frame of the recording, two
     in an image, one of a distance."""
     weights: Float[Tensor, "*batch moments points"]
-    """Weight of a point: 0 where it was not seen or the estimate does not cover its moment, the
-    confidence of a detection. That of a measured point is 1 or, where every point has a standard
-    deviation, the root mean square of these over the point's own."""
+    """Weight of a point: 0 where it was not seen or the estimate does not cover its moment, else a
+    detection's confidence; for a measured point 1 or, where every point has a standard deviation,
+    the root mean square of these over the point's own."""
     unit: Unit
 
     @property

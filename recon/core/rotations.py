@@ -140,7 +140,7 @@ def to_6d(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 6"]:
 
 
 def from_6d(columns: Float[Tensor, "*shape 6"]) -> Float[Tensor, "*shape 3 3"]:
-    """Rotation whose first two columns are the Gram-Schmidt of the given ones."""
+    """Rotation whose first two columns are the given ones, orthonormalised by Gram-Schmidt."""
     first, second = columns.unflatten(-1, (2, 3)).unbind(-2)
     x = first / first.norm(dim=-1, keepdim=True)
     across = second - (x * second).sum(-1, keepdim=True) * x

@@ -15,7 +15,7 @@ from recon.core.struct import TensorStruct
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera, Ground
-else:  # at run time Any replaces these, whose module most scenes need not import
+else:  # only annotations use these: Any at run time saves importing their module
     from typing import Any as Camera
     from typing import Any as Ground
 

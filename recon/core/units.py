@@ -51,7 +51,7 @@ def parse_unit(text: str) -> str | None:
     return word if word in METRES else None
 
 
-def check_override(unit: str | None) -> None:
+def check_unit(unit: str | None) -> None:
     """Refuse an unknown unit of length.
 
     Raises:

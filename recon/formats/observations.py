@@ -11,7 +11,7 @@ from recon.core import limits
 from recon.core.camera import check_pose
 from recon.core.errors import FormatError
 from recon.core.limits import Limit
-from recon.core.units import METRES, check_override, to_z_up
+from recon.core.units import METRES, check_unit, to_z_up
 from recon.formats.cameras import CameraArrays as CameraArrays
 from recon.formats.cameras import CameraFields, checked_camera
 from recon.formats.opening import load_arrays
@@ -114,7 +114,7 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
             says what was expected.
     """
     path = Path(path)
-    check_override(unit)
+    check_unit(unit)
     found = _FileArrays(path, load_arrays(path))
     kind, keys = found.text("kind"), ", ".join(sorted(found.arrays))
     if kind not in _KEYS:

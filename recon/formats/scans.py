@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
-from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.units import METRES, Up, check_unit, to_z_up
 from recon.formats.observations import PointsFile
 from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
@@ -174,7 +174,7 @@ def read_scans(
             cannot be told; the message says what to do.
     """
     folder = Path(folder)
-    check_override(unit)
+    check_unit(unit)
     paths = scan_paths(folder)
     times = folder / "times.csv"
     decisions: list[str] = []

@@ -14,8 +14,8 @@ from observations.start.rigid import TORSO
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import (
     FEWEST_MARKERS,
+    advice_on_mapping,
     load_marker_map,
-    mapping_to_write,
     marker_sets,
     match_markers,
 )
@@ -284,7 +284,7 @@ def _parts_without_markers(
         f"{name}: expected at least {FEWEST_MARKERS} markers of known places, on pelvis and both "
         f"legs or on the trunk, got {len(bones)} ({', '.join(vertices) or 'none'}); without a "
         f"marker: {', '.join(bare) or 'none'}; labels not known: {', '.join(unknown) or 'none'}; "
-        f"{mapping_to_write(unknown or tuple(vertices))}"
+        f"{advice_on_mapping(unknown or tuple(vertices))}"
     )
 
 

@@ -76,9 +76,9 @@ def first_window(
     for moment in moments[1:]:
         seen = [append_frames(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    looked = _proposed_motion(seen, noise, person.shape, body)
-    begun = looked or _fitted_motion(seen, noise, person.shape, body, poses)
-    motion, offsets, rows, noises = begun
+    proposed = _proposed_motion(seen, noise, person.shape, body)
+    chosen = proposed or _fitted_motion(seen, noise, person.shape, body, poses)
+    motion, offsets, rows, noises = chosen
     trackers: tuple[Tracker, ...] = tuple(
         one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
     )
@@ -105,7 +105,7 @@ def first_window(
         ShapeKnowledge.none(shape) if knowledge is None else knowledge,
         learning=person.shape is None or knowledge is not None,
     )
-    return first.refined(_STEPS_AFTER_FIT if looked is None else _STEPS_AFTER_LOOK)
+    return first.refined(_STEPS_AFTER_FIT if proposed is None else _STEPS_AFTER_LOOK)
 
 
 _FirstMotion = tuple[Motion, Tensor, Sequence[Any], tuple[Noise, ...]]

@@ -65,17 +65,17 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
     try:
         moment = json.loads(line)
         points, time = moment["points"], moment.get("time")
-        several = any(_is_sensor(one) for one in points)
+        several = any(_holds_points(one) for one in points)
         arrays = [_points_array(one) for one in points] if several else _points_array(points)
         return arrays, None if time is None else float(str(time))  # float("True") raises
-    except Exception as error:  # bad lines are reported; the stream goes on
+    except Exception as error:  # the caller reports the bad line, and goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '
             f"{line.strip()[:60]!r} ({error!s:.80})"
         ) from error
 
 
-def _is_sensor(value: Any) -> bool:
+def _holds_points(value: Any) -> bool:
     """Return whether a JSON value holds all points of one sensor, not a single point."""
     return isinstance(value, list) and any(
         isinstance(one, list) or (one is None and len(value) > 3) for one in value

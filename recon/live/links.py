@@ -36,9 +36,9 @@ class _ProgramAxes:
     """The coordinate axes of another program, of its world and of its rest pose."""
 
     world: Float[np.ndarray, "3 3"]
-    """From our world to theirs, without scale."""
+    """Matrix from the axes of our world to the program's, without scale."""
     body: Float[np.ndarray, "3 3"]
-    """From the axes of our rest pose to theirs; a reflection, its own inverse."""
+    """Matrix from the axes of our rest pose to the program's; a reflection, its own inverse."""
 
     def bones(
         self, estimate: LiveEstimate
@@ -73,14 +73,14 @@ class Link(AbstractContextManager[Any]):
 
     def __init__(self, address: str, complain: Callable[[str], Any]) -> None:
         host, port = _host_and_port(address)
-        self._address, self._complain, self._told = address, complain, set[int | None]()
+        self._address, self._complain, self._reported = address, complain, set[int | None]()
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
             raise ReconError(
                 f"{address:.80}: no host is called {host!r:.80} ({error!s:.80})"
             ) from error
-        # receivers that listen to `localhost` mostly do so by IPv4
+        # prefer IPv4, by which most receivers on `localhost` listen
         family, kind, protocol, _, place = min(found, key=lambda one: one[0] != socket.AF_INET)
         self._socket = socket.socket(family, kind, protocol)
         try:
@@ -117,8 +117,8 @@ class Link(AbstractContextManager[Any]):
             self._complain_once(error, f"a packet{size} was not sent: {error}")
 
     def _complain_once(self, error: OSError, message: str) -> None:
-        if error.errno not in self._told:
-            self._told.add(error.errno)
+        if error.errno not in self._reported:
+            self._reported.add(error.errno)
             self._complain(f"{self._address}: {message}")
 
 

@@ -81,13 +81,13 @@ class StreamSensors:
         Raises:
             ObservationError: when the data do not match the sensors.
         """
-        arrays = isinstance(given, Tensor) or not (
+        are_arrays = isinstance(given, Tensor) or not (
             isinstance(given, TensorStruct)
             or (isinstance(given, Sequence) and all(isinstance(g, TensorStruct) for g in given))
         )
-        if arrays:
-            many = len(self.trackers) > 1
-            rows: Any = given if many else [given]
+        if are_arrays:
+            several = len(self.trackers) > 1
+            rows: Any = given if several else [given]
             self._check_count(rows)
             seen = tuple(
                 frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)

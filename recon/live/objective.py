@@ -96,7 +96,7 @@ class StepEnergies(Protocol):
         ...
 
     def step_energy(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """Return a record whose `energy`, that of the motion's steps, is differentiable."""
+        """Return a record with the differentiable `energy` of the motion's steps."""
         ...
 
     def add_curvature(

@@ -30,7 +30,7 @@ _LEARNED = 300
 
 @dataclass
 class PreviewTracking(TrackedPerson):
-    """The state of a stream while a person is visible, as `recon.live.tracking.Tracking`.
+    """Tracks the visible person of a stream by a network alone; `Tracking` does so by fits.
 
     Nothing is fitted. The estimate of a moment is the network's proposal made from the window
     that ends `lag` moments later.

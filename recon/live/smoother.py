@@ -19,9 +19,9 @@ class ShapeKnowledge:
     """The information of past frames about the shape b: the energy ½ bᵀ Λ b - ηᵀ b."""
 
     information: Float[Tensor, "shape shape"]
-    """Λ."""
+    """Λ, the Hessian of the energy ½ bᵀ Λ b - ηᵀ b of a shape b."""
     pull: Float[Tensor, " shape"]
-    """η."""
+    """η of this energy."""
     frames: int
     """Number of frames that it was learned from."""
 
@@ -55,11 +55,11 @@ class ShapeKnowledge:
         if int(failed) != 0:  # a singular system: the frame had no data and adds no information
             return self
         solved = torch.cholesky_solve(torch.cat((border, gradient[:, None]), -1), factor)
-        said = equations.corner[0] - border.mT @ solved[:, :-1]
+        learned = equations.corner[0] - border.mT @ solved[:, :-1]
         slope = equations.gradient_shape[0] - border.mT @ solved[:, -1]
         held = 2 * weight * torch.eye(len(shape), dtype=shape.dtype, device=shape.device)
         return ShapeKnowledge(
-            self.information + said + held, self.pull + said @ shape - slope, self.frames + 1
+            self.information + learned + held, self.pull + learned @ shape - slope, self.frames + 1
         )
 
 
@@ -93,7 +93,7 @@ class SmoothedWindow:
         return self.seen[0].moments
 
     def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "SmoothedWindow":
-        """Return the window with a new frame; the oldest active frame goes beyond `most` frames.
+        """Return the window with a new frame, which replaces the oldest beyond `most` active ones.
 
         Args:
             seen: data of the new frame.
@@ -156,7 +156,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
     """The minimisation of a window's energy by steps of its active frames and of the shape."""
 
     equations: Equations | None = None
-    """Those of the last model."""
+    """The equations that `model` computed last."""
 
     def model(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Quadratic:
         """Return the quadratic model of the energy about the window `x`."""

@@ -90,9 +90,9 @@ class Stream:
         )
         self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
-        self._follows_one = False  # whether only one moment was pushed, which set the clock
-        self._other_clock: float | None = None
-        self._given: float | None = None
+        self._only_first_pushed = False  # true while a single moment sets the clock
+        self._jumped_to: float | None = None
+        self._last_returned: float | None = None
         self._findings: list[Finding] = []
 
     def _set_prior(self, prior: str | Prior[Any] | Look) -> None:
@@ -139,7 +139,7 @@ class Stream:
         """Return the estimates that are not final yet, and reset the stream for new data."""
         with torch.no_grad():
             newest = self._newest_with_findings(self._end_tracking())
-            self._given = None
+            self._last_returned = None
             return () if newest is None else (*newest.earlier, replace(newest, earlier=()))
 
     def _push_moment(self, seen: Any, time: float | None) -> LiveEstimate | None:
@@ -165,8 +165,8 @@ class Stream:
             return self._after_clock_jump(moment, last, sensors)
         else:
             steps = math.floor((moment.time - last) * sensors.fps + 0.5)
-        self._other_clock = None
-        if steps < 1 and self._follows_one:
+        self._jumped_to = None
+        if steps < 1 and self._only_first_pushed:
             # if the first time is wrong, all later moments would seem late: begin with the second
             self._end_tracking()
             self._add_finding(
@@ -191,7 +191,7 @@ class Stream:
         self, moments: list[Moment], sensors: StreamSensors
     ) -> LiveEstimate | None:
         """Add moments that follow the last; return the newest estimate that becomes final."""
-        self._follows_one = self._last is None
+        self._only_first_pushed = self._last is None
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:
@@ -208,18 +208,18 @@ class Stream:
         return self._newest_with_findings(done)
 
     def _insert_late(self, moment: Moment, frames_back: int) -> None:
-        """Store a late moment `frames_back` frames before the last, unless that has data."""
-        put_in = self._tracking is not None and self._tracking.insert(moment, frames_back)
-        late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
+        """Store a late moment `frames_back` frames before the last, unless that frame has data."""
+        inserted = self._tracking is not None and self._tracking.insert(moment, frames_back)
+        late = "late and was put in" if inserted else f"after {self._last:.3f} s and was left out"
         self._add_finding("frame order", f"the moment {moment.time:.3f} s came {late}")
 
     def _after_clock_jump(
         self, moment: Moment, last: float, sensors: StreamSensors
     ) -> LiveEstimate | None:
         """Handle a jump of the clock: skip one such moment, start anew if the next confirms it."""
-        other = self._other_clock
-        self._other_clock = moment.time
-        if other is None or abs(moment.time - other) > GONE_S:
+        jumped_to = self._jumped_to
+        self._jumped_to = moment.time
+        if jumped_to is None or abs(moment.time - jumped_to) > GONE_S:
             self._add_finding(
                 "jump",
                 f"the clock jumped from {last:.3f} s to {moment.time:.3f} s; the moment was left "
@@ -227,7 +227,7 @@ class Stream:
             )
             return None
         newest = self._newest_with_findings(self._end_tracking())
-        self._given = None
+        self._last_returned = None
         self._add_finding("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
         after = self._push_in_sequence([moment], sensors)
         assert after is None, "a first motion takes several moments"
@@ -263,7 +263,7 @@ class Stream:
     def _end_tracking(self, keep_clock: bool = False) -> list[LiveEstimate]:
         tracking, self._tracking = self._tracking, None
         if not keep_clock:
-            self._last = self._other_clock = None
+            self._last = self._jumped_to = None
         if tracking is None:
             return []
         done = tracking.finish(self._findings)
@@ -272,11 +272,11 @@ class Stream:
 
     def _newest_with_findings(self, done: list[LiveEstimate]) -> LiveEstimate | None:
         """Return the newest estimate, with the earlier ones and the findings in its fields."""
-        given = self._given
-        done = [one for one in done if given is None or one.time > given]
+        last = self._last_returned
+        done = [one for one in done if last is None or one.time > last]
         if not done:
             return None
-        self._given = done[-1].time
+        self._last_returned = done[-1].time
         findings, self._findings = tuple(self._findings), []
         return replace(done[-1], earlier=tuple(done[:-1]), findings=findings)
 

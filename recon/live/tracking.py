@@ -209,18 +209,18 @@ class Tracking(TrackedPerson):
         self.times.append(moment.time)
         dropped = len(self.times) - after.window.frames
         self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)
-        seen, astray = self._without_outliers(after, moment)
-        if astray > 0.5:
+        seen, share = self._without_outliers(after, moment)
+        if share > 0.5:
             self.gathered.append(moment)
         elif any(bool(one.shown.any()) for one in seen):
             self.gathered = []
-        if astray > 0:
+        if share > 0:
             findings.append(
                 Finding(
                     "outliers",
-                    f"at {moment.time:.3f} s, {astray:.0%} of the points lie where the person "
+                    f"at {moment.time:.3f} s, {share:.0%} of the points lie where the person "
                     "cannot be; they were left out",
-                    value=astray,
+                    value=share,
                 )
             )
         self.since_seen = 0 if any(bool(s.shown.any()) for s in seen) else self.since_seen + 1
@@ -250,18 +250,18 @@ class Tracking(TrackedPerson):
 
     def _restart_at_rejected(self, findings: list[Finding]) -> list[LiveEstimate]:
         """End this motion and restart tracking from points that were outliers for 0.3 s."""
-        there = self.gathered
-        self.since_seen = len(there)
+        rejected = self.gathered
+        self.since_seen = len(rejected)
         done = self.finish(findings)
         findings.append(
             Finding(
                 "jump",
-                f"from {there[0].time:.3f} s on, the person is somewhere else; the motion begins "
-                "anew there",
+                f"from {rejected[0].time:.3f} s on, the person is somewhere else; the motion "
+                "begins anew there",
             )
         )
         self.person, self.smoothed, self.times, self.final = self.known_shape(), None, [], 0
-        self.since_seen, self.gathered = 0, there
+        self.since_seen, self.gathered = 0, rejected
         return done
 
     def _final_estimates(self, lag: int) -> list[LiveEstimate]:

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.derivatives import BonePoints, joints_by_shape
+from recon.body.derivatives import BonePoints, joint_jacobian_by_shape
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core.motion import Motion
 from recon.method.protocols import Estimate
@@ -107,4 +107,4 @@ class ClipModel:
 
     @cached_property
     def _joints_by_shape(self) -> Float[Tensor, "time 22 3 shape"]:
-        return joints_by_shape(self.posed[0], self.body, self.motion.shape.shape[-1])
+        return joint_jacobian_by_shape(self.posed[0], self.body, self.motion.shape.shape[-1])

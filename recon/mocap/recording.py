@@ -256,7 +256,7 @@ def _decided_unit(
     Raises:
         UnitsError: when the unit gives a size that no human body has.
     """
-    units.check_override(given)
+    units.check_unit(given)
     if given is not None:
         (low, high), metres = _GIVEN_SIZE_M, size * units.METRES[given]
         if not low <= metres <= high:

@@ -22,7 +22,7 @@ SPAN = 1 / 20
 
 @dataclass(frozen=True)
 class Dynamics(TensorStruct):
-    """Mass, centre of mass, its acceleration, and rate of angular momentum, per inner frame."""
+    """Mass, centre of mass, its acceleration and rate of angular momentum; no end frames."""
 
     mass: Float[Tensor, "*batch"]
     """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""
@@ -103,12 +103,11 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
 def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
     """Compute `Dynamics` from the posed bones and the second moments of the body's mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
-    bends, places = second_differences(bones, fps), inner_frames(bones, fps)
-    # moments = Σ m u uᵀ; every 4th entry of u is a skinning weight, and the weights sum to 1, so
-    # that the sum of every 4th column is Σ m u
-    first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
-    centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
-    product = places @ moments[..., None, :, :] @ bends.mT
+    accelerations, places = second_differences(bones, fps), inner_frames(bones, fps)
+    # Σ m u out of Σ m u uᵀ: every 4th entry of u is a skinning weight, and these sum to one
+    first_moment = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
+    centre, acceleration = (places @ first_moment)[..., 0], (accelerations @ first_moment)[..., 0]
+    product = places @ moments[..., None, :, :] @ accelerations.mT
     product = product - centre[..., :, None] * acceleration[..., None, :]
     skew = product - product.mT
     spin = torch.stack((skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1]), -1)

@@ -207,7 +207,7 @@ def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
     if not 0 < strength < float("inf"):
         raise ReconError(
             "physics multiplies the weights of contact with the ground: expected a number of at "
-            f"least 0 (0 leaves them out, 1 is as chosen on validation), got {strength:g}"
+            f"least 0 (0 leaves them out, 1 keeps the chosen weights), got {strength:g}"
         )
     variance = strength * max(noise, 0.008) ** 2
     return tuple(Term(name, energy, variance / s**2) for name, energy, s in _PHYSICS)

@@ -133,7 +133,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
     centre = centre_of_pressure(points, points.new_ones(points.shape[-2]), SOLE_DECAY)
     contact = standing_feet(points, motion.fps)
-    target, load = (ends_repeated(one, step) for one in (zmp(moving), relative_load(moving)))
+    target, load = (repeat_ends(one, step) for one in (zmp(moving), relative_load(moving)))
     share = _load_shares(centre, contact, target)
     away = ((share[..., None] * centre).sum(-2) - target).norm(dim=-1)
     carried = contact.any(-1) & ((away < OUT_OF_REACH_M) | (load < FULL_LOAD))
@@ -188,8 +188,8 @@ def _level_of_ground(file: MotionFile) -> float:
         return 0.0
     if float(file.ground[:2].norm()) > LEVEL * float(file.ground[2]):
         raise ReconError(
-            "forces need level ground, but this file's is tilted: convert the recording without "
-            "--keep-frame, which levels it"
+            "forces need level ground, but this file's is tilted: convert the recording again "
+            "without --keep-frame, to level it"
         )
     return float(file.ground[3] / file.ground[2])
 
@@ -208,14 +208,14 @@ def _forces_by_foot(
 ) -> Float[Tensor, "time 2 3"]:
     """Split the total force between the feet: vertical by share, horizontal to the mass centre."""
     acceleration, mass_centre = (
-        ends_repeated(moving.acceleration, step),
-        ends_repeated(moving.centre, step),
+        repeat_ends(moving.acceleration, step),
+        repeat_ends(moving.centre, step),
     )
-    whole = moving.mass * acceleration
-    up = share * (whole[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
+    inertia = moving.mass * acceleration
+    up = share * (inertia[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
     height = mass_centre[:, None, 2:].clamp(min=LEAST_HEIGHT_M)
     aimed = up[..., None] * (mass_centre[:, None, :2] - centre) / height
-    rest = whole[:, :2] * share.sum(-1, keepdim=True) - aimed.sum(-2)
+    rest = inertia[:, :2] * share.sum(-1, keepdim=True) - aimed.sum(-2)
     return torch.cat((aimed + share[..., None] * rest[:, None], up[..., None]), -1)
 
 
@@ -227,8 +227,8 @@ def _pressure_centres(
     The weights are inverse variances; the two variances add up to the square of the misfit.
     """
     inside = target[:, None].maximum(points.amin(-2)).minimum(points.amax(-2))
-    part = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
-    return pressed.lerp(inside, part * trusted[..., None].to(pressed))
+    weight = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
+    return pressed.lerp(inside, weight * trusted[..., None].to(pressed))
 
 
 def _smoothed_within_stances(
@@ -267,7 +267,7 @@ def _force_std(
     return found
 
 
-def ends_repeated(values: Tensor, step: int) -> Tensor:
+def repeat_ends(values: Tensor, step: int) -> Tensor:
     """Repeat the first and the last row `step` times, to extend inner frames to all frames."""
     ends = [values[:1].expand(step, *values.shape[1:]), values]
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))

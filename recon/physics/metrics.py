@@ -56,7 +56,7 @@ class PhysicsSamples(TensorStruct):
     stepped: Bool[Tensor, " frames"]
     """Whether there is a next frame."""
     joints_touch: Bool[Tensor, "frames 4"]
-    """Ankles and toes under 1.5 cm in this frame and the next, and not in the same place."""
+    """Ankles and toes that are lower than 1.5 cm in this frame and the next, but moved between."""
     sunk_step: Float[Tensor, " frames"]
     """Mean horizontal step of vertices at or below the ground in both frames, m per 1/20 s."""
     soles_touch: Bool[Tensor, "frames 2"]
@@ -134,7 +134,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     """
     posed = body.pose(motion)
     first = body.pose(motion.window(0, 1)).vertices[0]
-    kinds = (
+    masses = (
         vertex_masses_as_published(first, Parts.of(body)),
         vertex_masses(body, motion.shape),
     )
@@ -143,7 +143,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     nearest = (torch.arange(motion.frames, device=first.device) - step).clamp(0, last)
     old, new = (
         Dynamics(found.mass, centre_of_mass(posed, mass), *_at_frames(found, nearest))
-        for mass in kinds
+        for mass in masses
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
     return torch.stack((zmp_of_humos_code(old), zmp(new)), -2), share_carried(new) >= 0.5
@@ -162,7 +162,7 @@ def _surface_samples(
     contacts: Tensor | None,
     points: Tensor,
 ) -> PhysicsSamples:
-    """Measure frames start, ..., stop - 1; those from `before` on give speeds."""
+    """Measure frames start, ..., stop - 1; those from `before` on serve to compute speeds."""
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
@@ -232,14 +232,14 @@ def humos_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
     `dynamic_stability` is the share of frames whose released ZMP is inside the base of support;
     without a base it is not. `bos_distance` is the mean over the frames outside of one.
     """
-    depth, out = -samples.lowest, samples.has_base & (samples.released_distance > 0)
+    depth, unstable = -samples.lowest, samples.has_base & (samples.released_distance > 0)
     stable = samples.has_base & (samples.released_distance < 0)
     return {
         "penetrate": metrics.mean(depth, depth > TOLERANCE) or 0.0,
         "float": metrics.mean(-depth, -depth >= TOLERANCE) or 0.0,
         "skate": metrics.mean(samples.joints_touch.double()[samples.stepped]),
         "dynamic_stability": metrics.mean(stable.double()),
-        "bos_distance": metrics.mean(samples.released_distance, out),
+        "bos_distance": metrics.mean(samples.released_distance, unstable),
     }
 
 
@@ -265,11 +265,11 @@ def balance_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
     """Shares of supported and of flying frames whose ZMP lies in the base of support."""
     stable = (samples.has_base & (samples.distance < 0)).double()
     carried, flying = samples.known & samples.carried, samples.known & ~samples.carried
-    out = carried & samples.has_base & (samples.distance > 0)
+    unstable = carried & samples.has_base & (samples.distance > 0)
     return {
         "stability_supported": metrics.mean(stable, carried),
         "stability_flight": metrics.mean(stable, flying),
-        "bos_distance_supported": metrics.mean(samples.distance, out),
+        "bos_distance_supported": metrics.mean(samples.distance, unstable),
         "flight": metrics.mean(flying.double(), samples.known),
     }
 

@@ -12,7 +12,7 @@ from recon.body.parts import GRAVITY, vertex_masses_of_segments
 from recon.core.motion import Motion
 from recon.core.skeleton import descendants, joint_index
 from recon.physics.dynamics import body_dynamics, difference_step
-from recon.physics.forces import GroundForces, ends_repeated
+from recon.physics.forces import GroundForces, repeat_ends
 from recon.physics.plates import MeasuredForces
 
 PLATE_STD, PLATE_CENTRE_STD_M = 0.01, 0.01
@@ -29,9 +29,9 @@ class JointMoments:
     """Joint moments of the legs on the distal segment; positive ones increase the coordinate."""
 
     moments: dict[str, Float[np.ndarray, " time"]]
-    """Newton metres by coordinate, as `hip_flexion_r`."""
+    """Newton metres, by the coordinate's name, such as `hip_flexion_r`."""
     std: dict[str, Float[np.ndarray, " time"]]
-    """Standard deviations by those of the force, its place and its twist, newton metres."""
+    """Standard deviations that follow from those of force, its place and its twist; N m."""
     measured: Bool[np.ndarray, "time 2"]
     """Whether a plate measured the force on the left and right foot; else it is estimated."""
 
@@ -60,8 +60,8 @@ def joint_moments(
         ValueError: when the body is another one.
     """
     body = body.to(device="cpu", dtype=torch.float64)
-    here = motion.detach().to(device="cpu", dtype=torch.float64)
-    posed, step = body.pose(here), difference_step(motion.fps)
+    precise = motion.detach().to(device="cpu", dtype=torch.float64)
+    posed, step = body.pose(precise), difference_step(motion.fps)
     masses = forces.mass * vertex_masses_of_segments(body)
     force, centre = forces.force.numpy().copy(), forces.centre.numpy().copy()
     force_std, centre_std = forces.force_std.numpy().copy(), forces.centre_std.numpy().copy()
@@ -74,7 +74,7 @@ def joint_moments(
     moments: dict[str, Float[np.ndarray, " time"]] = {}
     std: dict[str, Float[np.ndarray, " time"]] = {}
     carrier = body.weights.argmax(-1)
-    for name, axis in leg_axes(body, here, model).items():
+    for name, axis in leg_axes(body, precise, model).items():
         word, end = name.split("_")[0], name[-1]
         if word not in _JOINTS:
             continue
@@ -84,9 +84,9 @@ def joint_moments(
         moving = body_dynamics(posed, masses * below, motion.fps)
         place = posed.joints[:, joint].numpy()
         mass = float(moving.mass)
-        pull = mass * ends_repeated(moving.acceleration, step).numpy() + [0, 0, mass * GRAVITY]
-        arm = ends_repeated(moving.centre, step).numpy() - place
-        own = ends_repeated(moving.spin, step).numpy() + np.cross(arm, pull)
+        pull = mass * repeat_ends(moving.acceleration, step).numpy() + [0, 0, mass * GRAVITY]
+        arm = repeat_ends(moving.centre, step).numpy() - place
+        own = repeat_ends(moving.spin, step).numpy() + np.cross(arm, pull)
         lever, load = centre[:, side] - place, force[:, side]
         whole = own - np.cross(lever, load) - torque[:, side]
         moments[name] = (whole * axis).sum(-1)

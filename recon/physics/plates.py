@@ -44,15 +44,15 @@ class MeasuredForces:
         weight = found.mass * GRAVITY
         table: dict[str, dict[str, Any]] = {}
         for side, name in enumerate(("left", "right")):
-            on = self.known[:, side]
-            if not on.any():
+            known = self.known[:, side]
+            if not known.any():
                 continue
-            measured = self.force[on, side, 2]
-            away = found.force[:, side, 2].numpy()[on] - measured
-            apart = (found.centre[:, side].numpy() - self.centre[:, side])[on, :2]
+            measured = self.force[known, side, 2]
+            away = found.force[:, side, 2].numpy()[known] - measured
+            apart = (found.centre[:, side].numpy() - self.centre[:, side])[known, :2]
             pressed = measured > PRESSED * weight
             table[name] = {
-                "frames": int(on.sum()),
+                "frames": int(known.sum()),
                 "vertical_rms_percent": float(100 * np.sqrt(np.mean(away**2)) / weight),
                 "impulse_percent": float(100 * away.sum() / measured.sum()),
                 "centre_cm": float(100 * np.linalg.norm(apart[pressed], axis=-1).mean()),

@@ -55,8 +55,9 @@ class SupportEnergy(TensorStruct):
     """Clips whose legs nobody saw; the others have an energy of zero."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Energy Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz; nats.
+        """Sum over frames of the load times the least energy of a pair of foot joints; nats.
 
+        Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz.
         j and k are ankles and toes, also twice the same. l is the share of its weight that the
         ground carries, 1 + a / g between 0 and 1, by the vertical acceleration a of the pelvis:
         zero in flight. u = ½ (h² / σ_h² + v² / σ_v²) says how far a joint is from rest: h is the
@@ -164,7 +165,7 @@ def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
 def _energies_of_pairs(
     estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
 ) -> Float[Tensor, "*batch inner 10"]:
-    """Return the energy max(u_j, u_k) + ½ d_jk² / σ_d² of each pair of foot joints; nats."""
+    """Return, per pair of foot joints, the larger unrest + ½ (excess ZMP distance / σ)²; nats."""
     one, other = (cached_constant(side, unrest.device) for side in (_FIRST, _SECOND))
     joints = estimate.body.joints[..., cached_constant(FEET, unrest.device), :2]
     feet = inner_frames(joints, estimate.motion.fps)

@@ -14,7 +14,7 @@ from recon.core.coordinates import hint_at_adult, inferred_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
-from recon.core.units import METRES, Hand, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_unit, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.labels import keypoints_of_labels, limbs_of_bones, split_off_hands
 from recon.keypoints3d.reader import with_known_rate
@@ -69,7 +69,7 @@ def points_in_metres(
         ValueError: when something cannot be told or cannot be right; the message says what was
             found and which option decides.
     """
-    check_override(unit)
+    check_unit(unit)
     raw, hands = split_off_hands(raw)
     known = _upper_neck_renamed(_with_known_names(with_known_rate(raw, fps), body, layout))
     metres, unit_reason = _metres_per_unit(known, body, unit)

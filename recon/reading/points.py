@@ -23,7 +23,7 @@ from recon.core.hands import right_handed_signs
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
-from recon.core.units import METRES, Hand, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_unit, to_z_up
 from recon.formats.observations import PositionsFile
 
 _ROOM = (-0.3, 2.5)
@@ -102,7 +102,7 @@ def positions_in_metres(
         raise ObservationError(
             f"{path}: no point is visible in any frame, so there is nothing to fit"
         )
-    check_override(unit)
+    check_unit(unit)
     _, rest = _places_on_body(file, path, body)
     metres = METRES[unit] if unit else 1.0
     turn, said = _turn_to_z_up(file, path, up)

@@ -58,13 +58,13 @@ class DepthSensor:
     """
 
     constant: float = 0.0012
-    """Metres."""
+    """Standard deviation of a depth of 0.4 m, metres."""
     quadratic: float = 0.0019
-    """Per metre."""
+    """Factor of (depth - 0.4 m)² in the standard deviation, per metre."""
     grazing: float = 75.0
     """Degrees between the view and the surface's normal from which on pixels get lost."""
     lost: float = 0.6
-    """Share of those that is lost."""
+    """Share of these pixels that is lost."""
     flying: float = 0.1
     """Share of the pixels on an edge that fly; the others are lost as `lost` says."""
     farthest: float = 8.0
@@ -121,13 +121,13 @@ def depth_points(
     random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     shown = WatchedSurface.of(motion, body) if shown is None else shown
     active = corruption.active(motion.times).tolist()
-    there = torch.rand(motion.frames, generator=generator) >= corruption.missing_frames
+    recorded = torch.rand(motion.frames, generator=generator) >= corruption.missing_frames
     poses = camera.T_camera_world.expand(motion.frames, 4, 4)
     clouds: list[np.ndarray] = []
     for k in range(motion.frames):
         view = camera.replace(T_camera_world=poses[k])
         cloud = np.zeros((0, 3))
-        if there[k]:
+        if recorded[k]:
             box = corruption.hide_box if active[k] else None
             true, surface = depth_image(shown.vertices[k], shown.faces, view, box, furniture)
             depth = measured_depth(true, view, sensor, random)
@@ -163,7 +163,7 @@ def without_pose(file: PointsFile) -> PointsFile:
     """
     camera = file.camera
     if camera is None or camera.T_camera_world is None or len(camera.T_camera_world) != 1:
-        raise ReconError("expected a fixed sensor: a moving one needs its poses")
+        raise ReconError("expected a fixed sensor, since points of a moving one need its poses")
     T = camera.T_camera_world[0]
     points = file.points @ T[:3, :3].T + T[:3, 3]
     return replace(file, points=points, camera=replace(camera, T_camera_world=None))
@@ -250,11 +250,11 @@ def _world_points(
 ) -> Float[np.ndarray, "points 3"]:
     """Convert at most `count` of the kept pixels to world points, some missing or outliers."""
     row, column = np.nonzero(kept)
-    some = random.random(len(row)) >= corruption.missing_points
-    row, column = row[some], column[some]
+    chosen = random.random(len(row)) >= corruption.missing_points
+    row, column = row[chosen], column[chosen]
     if len(row) > count:
-        some = np.sort(random.permutation(len(row))[:count])
-        row, column = row[some], column[some]
+        chosen = np.sort(random.permutation(len(row))[:count])
+        row, column = row[chosen], column[chosen]
     pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
     sensor = camera.to(dtype=torch.float64)
     cloud = sensor.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()

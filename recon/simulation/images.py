@@ -224,12 +224,12 @@ def _cameras_of_calibration(
         camera = _camera_of_arrays(arrays, truth)
         if arrays.T_camera_world is None:
             if len(found) > 1:
-                raise ReconError(f"{path}: camera {name} has no pose, so it cannot be placed")
+                raise ReconError(f"{path}: camera {name} has no pose; give each camera a pose")
             camera = camera_ring(truth, body, camera, 1, first=mean_heading(truth))[0]
         elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) < truth.frames:
             raise ReconError(
-                f"{path}: camera {name} has {len(camera.T_camera_world)} poses, the motion "
-                f"{truth.frames} frames"
+                f"{path}: camera {name} has {len(camera.T_camera_world)} poses, but the "
+                f"motion has {truth.frames} frames; give one pose, or one per frame"
             )
         elif camera.T_camera_world.ndim == 3:
             poses = camera.T_camera_world[: truth.frames]

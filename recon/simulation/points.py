@@ -76,9 +76,9 @@ class Corruption:
     ) -> Float[Tensor, "time points 3"]:
         """Add Gaussian noise to points, and move some at random as outliers."""
         noise = torch.randn(points.shape, generator=generator, dtype=torch.float64)
-        wild = torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5
-        hit = torch.rand(points.shape[:2], generator=generator) < self.outliers
-        return points + (self.noise * noise + hit[..., None] * wild).to(points)
+        shift = torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5
+        is_outlier = torch.rand(points.shape[:2], generator=generator) < self.outliers
+        return points + (self.noise * noise + is_outlier[..., None] * shift).to(points)
 
 
 def joints3d(motion: Motion, body: BodyModel, corruption: Corruption, seed: int) -> Joints3D:
@@ -207,14 +207,14 @@ def sampled_on_surface(
     random: np.random.Generator,
     values: Float[np.ndarray, "vertices values"] | None = None,
 ) -> Float[np.ndarray, "points values"]:
-    """Sample points of a mesh uniformly by area; return vertex values there, if given, instead.
+    """Sample mesh points uniformly by area; return them, or vertex `values` interpolated there.
 
     A triangle is drawn by its area, then a point a + s ((1 - t) (b - a) + t (c - a)) of it with
     s² and t uniform (Osada et al. 2002).
     """
     a, b, c = vertices[faces].swapaxes(0, 1)
-    reach = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
-    face = np.searchsorted(reach, reach[-1] * random.random(count), side="right")
+    area_sum = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
+    face = np.searchsorted(area_sum, area_sum[-1] * random.random(count), side="right")
     s, t = np.sqrt(random.random((count, 1))), random.random((count, 1))
     a, b, c = (vertices if values is None else values)[faces[face]].swapaxes(0, 1)
     return a + s * ((1 - t) * (b - a) + t * (c - a))

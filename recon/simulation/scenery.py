@@ -37,11 +37,11 @@ class Clothing:
     """Settings of simulated clothes: their distances from the skin and wavelengths, metres."""
 
     loose: float = 0.007
-    """Median distance from the skin of what hangs."""
+    """Median distance of loose cloth from the skin."""
     spread: float = 0.6
     """Standard deviation of that distance's logarithm."""
     drape: float = 0.18
-    """Length over which it varies."""
+    """Length over which this distance varies."""
     folds: float = 0.002
     """Standard deviation of the folds."""
     fold_length: float = 0.035

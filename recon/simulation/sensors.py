@@ -87,21 +87,21 @@ def refuse_other_options(
     """Raise an error for options that do not apply to this kind of sensor."""
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
-    bare = {"furniture": (), "left_over": ()}
-    if kind != "depth" and replace(surface, **bare) != surface:
+    no_furniture = {"furniture": (), "left_over": ()}
+    if kind != "depth" and replace(surface, **no_furniture) != surface:
         raise ReconError(f"furniture and left_over are options for depth, not for {kind}")
     if "furniture" in surface.left_over and not surface.furniture:
         raise ReconError(
-            "left_over: no furniture was given whose points could be left over; give furniture, "
+            "left_over keeps points of furniture, but no furniture was given; give furniture, "
             "or leave left_over out"
         )
-    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset, **bare)
+    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset, **no_furniture)
     if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
         raise ReconError(f"points and clothed are options for depth and scans, not for {kind}")
     hides = corruption.hide_below is not None or corruption.hide_box is not None
     if corruption.during is not None and not hides:
         raise ReconError(
-            "during: gives the time in which points are hidden, but none are; hide those below a "
+            "during: gives the time in which points are hidden, but none are; hide points below a "
             "height or in a box, or leave during out"
         )
     if surface.points < 1:
@@ -128,9 +128,9 @@ def _simulated_positions(
     if kind == "joints3d":
         seen, names = joints3d(truth, body, corruption, seed), JOINTS
     else:
-        beside = kind == "landmarks"
-        names = LANDMARKS_16 if beside else KEYPOINTS_43
-        offset = surface.skin_offset if beside else 0.0
+        are_landmarks = kind == "landmarks"
+        names = LANDMARKS_16 if are_landmarks else KEYPOINTS_43
+        offset = surface.skin_offset if are_landmarks else 0.0
         seen = markers3d(truth, body, corruption, seed, names, offset)
     return PositionsFile(
         kind="joints3d" if kind == "joints3d" else "markers3d",
@@ -166,7 +166,7 @@ def _simulated_views(
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # up to 100 views: no view gets a seed that a view gets under another --seed
+        # with up to 100 views, no two values of --seed give views the same seed
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()

@@ -21,7 +21,7 @@ class FilmSettings:
     camera: str = "front"
     """`front` or `side` of the body, near enough to fill the image, or a calibration."""
     views: int = 1
-    """Cameras evenly around the body, the first as above; OUT is a folder for several."""
+    """Number of cameras, evenly around the body from `camera` on; for several, OUT is a folder."""
     orbit: float = 0.0
     """Angle that the cameras are carried around the body by, radians."""
     layout: str = "openpose25"
@@ -36,7 +36,7 @@ class SurfaceSettings:
     """Settings of simulated surfaces, for the kinds landmarks, depth and scans."""
 
     points: int = 4096
-    """Most points of a frame of depth and scans."""
+    """Largest number of points per frame, for depth and scans."""
     clothed: int | None = None
     """Seed of the clothes that depth and scans see; default: bare skin."""
     skin_offset: float = 0.01

@@ -17,7 +17,7 @@ from recon.core.coordinates import (
 from recon.core.units import (
     METRES,
     Up,
-    check_override,
+    check_unit,
     parse_unit,
     snapped_rate,
     to_z_up,
@@ -65,8 +65,8 @@ def test_a_declared_unit_that_makes_a_child_of_a_hands_size_is_refused() -> None
 def test_an_unknown_unit_is_refused_with_the_known_ones() -> None:
     for word in ("furlong", "0", "-1", "nan", "inf", ""):
         with pytest.raises(ValueError, match="inch"):
-            check_override(word)
-    check_override("0.3048")
+            check_unit(word)
+    check_unit("0.3048")
     assert METRES["0.3048"] == 0.3048
     assert parse_unit(" Millimeters ") == "mm"
     assert parse_unit("") is None

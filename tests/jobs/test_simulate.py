@@ -264,7 +264,7 @@ def test_contradictions_are_refused_and_nothing_is_written(
 def test_a_time_of_hiding_without_anything_hidden_is_refused(kind, clip, tmp_path):
     """--during alone was ignored without a word."""
     when = Corruption(during=(0.0, 1.0))
-    with pytest.raises(ValueError, match="hide those below a height"):
+    with pytest.raises(ValueError, match="hide points below a height"):
         simulate_file(clip, tmp_path / "o.npz", kind, when, seed=0)
     assert list(tmp_path.iterdir()) == []
 
