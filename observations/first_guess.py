@@ -22,8 +22,8 @@ class FirstGuess:
     distance_known: bool
     """Whether the body's position is known; one camera tells only its direction.
 
-    Stage 1 places the rest body better. Where only a direction is known it must be left out, as
-    it would explain bent limbs by a larger distance.
+    Stage 1 of a fit places the rest body better. Where only a direction is known the stage is left
+    out, as it would explain bent limbs by a larger distance.
     """
     aligned: bool = False  # whether trunk and limbs point where the data show them
     posed: bool = False
@@ -46,11 +46,11 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
         # imported only when several cameras see the points, which may be triangulated then
-        from observations.camera_paths import can_triangulate, views_on_one_clock, views_start
+        from observations.camera_paths import can_triangulate, guess_from_views, views_on_one_clock
 
         alike = views_on_one_clock(views)
         if len(alike) > 1 and can_triangulate(alike):
-            return FirstGuess(views_start(body, alike), True, aligned=True)
+            return FirstGuess(guess_from_views(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)
         return FirstGuess(_posed_as(posed, views[0].start(body)) if views else posed, True)

@@ -96,9 +96,9 @@ class _PointsBesideDiscs:
 
     unposed: Float[Tensor, "*batch moments 3 points"]
     maps: Float[Tensor, "*batch moments 4 3 points"]
-    """Of the discs: three rows that turn, and one that moves."""
+    """Affine maps that pose the discs: three rows that rotate, and one that translates."""
     length: Float[Tensor, "*batch moments points"]
-    """Of the normals before they have unit length."""
+    """Length of the posed normals before they are normalised."""
     normals: Float[Tensor, "*batch moments 3 points"]
     """n."""
     offsets: Float[Tensor, "*batch moments 3 points"]

@@ -95,7 +95,7 @@ def bone_distance(
     confidence: Float[Tensor, "batch time points"],
     camera: Camera,
 ) -> Float[Tensor, "batch time"]:
-    """Distance of an average body from the camera in each frame, by its bones, metres.
+    """Distance of an average body from the camera in each frame, from its bones' image, metres.
 
     Focal length times a high quantile over the visible bones of length in the image over length
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
