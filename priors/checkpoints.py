@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def integer_settings(self, *names: str, least: int = 1, **texts: str) -> list[int]:
-        """Return the integer settings `names`; refuse a file with other values of `texts`.
+        """Return the integer settings `names`; refuse a file whose settings differ from `texts`.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
@@ -102,7 +102,7 @@ def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
 
 
 def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
-    """Load weights by name: `open` (in the package), or a path.
+    """Load the packaged weights of `kind` if `name` is "open", else those of the file `name`.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -60,7 +60,7 @@ def _centroid_speed(sensor: Any) -> Float[Tensor, " clips"]:
 
 @dataclass(frozen=True, eq=False)
 class LikelyStates(TensorStruct):
-    """Energy that makes every state likely in clips of which a limb was not observed."""
+    """Energy of how unlikely each state is, in clips in which a limb was never observed."""
 
     humor: Humor
     """Prior whose mixture of initial states is the density."""
@@ -68,9 +68,9 @@ class LikelyStates(TensorStruct):
     """Joints that nobody saw (`priors.humor.limbs`); clips without any have no energy."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
-        """Σ_t ρ(r(x_t)) over the states x_t, each in its canonical frame; nats.
+        """Σ_t ρ(r_t), nats: robust kernel ρ of the rarity r_t of states in their canonical frames.
 
-        r is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
+        r_t is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
         do what nobody of the corpus did.
         """
         motion = estimate.motion

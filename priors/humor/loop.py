@@ -61,7 +61,7 @@ _RAW_ORDER = torch.tensor(
 
 @dataclass(frozen=True)
 class FrozenDecoder:
-    """The decoder's weights, transposed, with inputs and outputs in the loop's layout.
+    """The decoder's weights, transposed, with inputs and outputs in the order of the roll-out.
 
     Its outputs: what is added to vectors and height; half of each rotation vector; the horizontal
     move of the translation; contact logits.
@@ -258,8 +258,7 @@ class _RollOut(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients with respect to the start, raw output and rotations of every step; the loop
-        # goes back in time, and each step adds to the gradients of the step one frame earlier
+        # gradients by each step's start, output and rotations; each adds to the one before in time
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

@@ -52,7 +52,7 @@ class HumosVariables(TensorStruct):
     """Variables of the HUMOS prior: latent codes and details, one motion per clip."""
 
     latent: Float[Tensor, "*batch memory latent"]
-    """Whitened codes, 0.4 s apart, or one."""
+    """Whitened codes of windows of time, 0.4 s apart."""
     shape: Float[Tensor, "*batch shape"]
     turn: Float[Tensor, "*batch"]
     """Rotation of the heading from `base`."""

@@ -54,7 +54,7 @@ class PointLabels(TensorStruct):
         return self.log_std.exp().where(self.present, 0.0)
 
     @classmethod
-    def known(
+    def of_vertices(
         cls,
         body: BodyModel,
         vertices: Int[Tensor, "*batch moments points"],

@@ -359,8 +359,7 @@ def _surface_features(
     rows += [angles.sin(), angles.cos()]
     for patch in (near, wide):
         facing = (patch.normal * view).sum(-1, keepdim=True)
-        # the sign of a normal is unknown without a sensor, and uncertain where the line of sight
-        # is nearly parallel to the surface
+        # without a sensor, or on surfaces seen edge-on, a normal's sign is unsure: it goes to zero
         normal = patch.normal * (_SIGN * facing).tanh()
         normals.append(normal)
         rows += [normal, facing.abs(), _SIZE * patch.covariance, 10 * patch.flatness[..., None]]
