@@ -43,7 +43,7 @@ def with_path_in_metres(
         feet: places in the frame of the camera, metres; nan where they are not known.
     """
     poses = view.camera.T_world_camera.double().cpu().numpy()
-    units = [metres_per_path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
+    units = [metres_per_path_unit(T, at, view.fps) for T, at in zip(poses, feet, strict=True)]
     return with_scaled_path(view, torch.tensor(units))
 
 

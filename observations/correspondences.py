@@ -195,9 +195,9 @@ class BodyPoints:
     def _bones_rigid_with_point(self, row: int, body: BodyModel) -> frozenset[int]:
         joints = self.of_joints[row].nonzero()[:, 0].tolist()
         rows = self.vertices[self.of_vertices[row] > 0]
-        on = [frozenset((joint, PARENTS[joint])) for joint in joints]
-        on += [frozenset((bone,)) for bone in body.weights[rows].argmax(-1).tolist()]
-        return frozenset.intersection(*on) - {-1} if on else frozenset()
+        bones = [frozenset((joint, PARENTS[joint])) for joint in joints]
+        bones += [frozenset((bone,)) for bone in body.weights[rows].argmax(-1).tolist()]
+        return frozenset.intersection(*bones) - {-1} if bones else frozenset()
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """Points on a posed body, world, metres; zero for points that the body lacks."""

@@ -53,11 +53,11 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
             return FirstGuess(guess_from_views(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)
-        return FirstGuess(_posed_as(posed, views[0].start(body)) if views else posed, True)
+        return FirstGuess(_copy_poses(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
 
 
-def _posed_as(posed: Motion, placed: Motion) -> Motion:
+def _copy_poses(posed: Motion, placed: Motion) -> Motion:
     """Give motion `placed` the poses and translations of `posed`, at the frame rate of `placed`.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
@@ -70,9 +70,9 @@ def _posed_as(posed: Motion, placed: Motion) -> Motion:
         for time in (posed.start_time, posed.stop_time)
     )
     shared = times.clamp(begin, end).to(placed.translation.device)
-    there = posed.at(shared.clamp(max=posed.stop_time), placed.fps)
-    away = there.translation - placed.at(shared, placed.fps).translation
-    return placed.replace(translation=placed.translation + away, rotations=there.rotations)
+    sampled = posed.at(shared.clamp(max=posed.stop_time), placed.fps)
+    shift = sampled.translation - placed.at(shared, placed.fps).translation
+    return placed.replace(translation=placed.translation + shift, rotations=sampled.rotations)
 
 
 def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:

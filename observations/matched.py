@@ -37,9 +37,9 @@ class Discs(TensorStruct):
     weights: Float[Tensor, "*batch moments 22 points"]
     """Skinning weights."""
     middles: Float[Tensor, "*batch moments 3 points"]
-    """On the average body, metres."""
+    """Centres of the discs on the average body, metres."""
     by_shape: Float[Tensor, "*batch moments shape coordinates"]
-    """Derivatives of the middles by the coefficients of the shape; x of all points, y, z."""
+    """Derivatives of the centres by the shape's coefficients; x of all points, then y, then z."""
     normals: Float[Tensor, "*batch moments 3 points"]
     radii: Float[Tensor, "*batch moments points"]
     """Metres."""

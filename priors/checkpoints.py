@@ -73,16 +73,16 @@ class Checkpoint:
             ValueError: naming the file and what it says, when they are not.
         """
         found = [self.settings.get(name) for name in names]
-        right = [size for size in found if isinstance(size, int) and size >= least]
-        told = {name: self.settings.get(name) for name in texts}
-        if len(right) < len(found) or told != texts:
+        valid = [size for size in found if isinstance(size, int) and size >= least]
+        found_texts = {name: self.settings.get(name) for name in texts}
+        if len(valid) < len(found) or found_texts != texts:
             expected = [f"{name} ({least} or more)" for name in names]
             expected += [f"{name} = {word!r}" for name, word in texts.items()]
             raise WeightsError(
                 f"{self.path}: expected the settings {', '.join(expected)}, got "
                 f"{dict(self.settings)}; weights of other versions must be trained anew"
             )
-        return right
+        return valid
 
     def copy_into(self, network: nn.Module) -> None:
         """Copy the file's tensors into a network; raises as `require` if its layers differ."""

@@ -105,7 +105,7 @@ class CodeSpread(TensorStruct):
 
     mean: Float[Tensor, " latent"]
     root: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular factor of the codes' covariance."""
     typical: Float[Tensor, "typical latent"]
     """Codes of different kinds of cycles, to begin a search with."""
 

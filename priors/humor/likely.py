@@ -50,11 +50,11 @@ def _centroid_speed(sensor: Any) -> Float[Tensor, " clips"]:
     """Mean speed of the centroid of visible points over `_SPEED_SPAN_S`, m/s."""
     places, shown = sensor.places, sensor.shown
     lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
-    both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
-    moved = (places[:, lag:] - places[:, :-lag]).where(both > 0, 0.0)
-    middle = moved.sum(2) / both.sum(2).clamp(min=1)
-    told = both.any(2)[..., 0].to(places)
-    far = (middle.norm(dim=-1) * told).sum(1) / told.sum(1).clamp(min=1)
+    shown_twice = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
+    moved = (places[:, lag:] - places[:, :-lag]).where(shown_twice > 0, 0.0)
+    middle = moved.sum(2) / shown_twice.sum(2).clamp(min=1)
+    any_shown = shown_twice.any(2)[..., 0].to(places)
+    far = (middle.norm(dim=-1) * any_shown).sum(1) / any_shown.sum(1).clamp(min=1)
     return far * sensor.fps / lag
 
 

@@ -143,10 +143,10 @@ class CodeDensity(TensorStruct):
 
     mean: Float[Tensor, " latent"]
     root: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular; a code is z = mean + root u."""
     follow: Float[Tensor, "latent latent"]
     rest: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular factor of the covariance of u_k given u_(k-1)."""
 
     def whitened(
         self, codes: Float[Tensor, "*batch memory latent"]

@@ -117,7 +117,7 @@ class Humos(Prior[HumosVariables]):
         """
         del method
         if body is not None and body.template.device.type != "cpu":
-            raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
+            raise WeightsError("the HUMOS prior runs on the CPU alone: leave --device at cpu")
         fitted = imported_object("priors.humos.collocation:CollocatedHumos", "method")
         return fitted(self).stages(data, noise)
 
