@@ -79,9 +79,9 @@ class EstimatedPoints(Markers3D):
     momentwise: ClassVar[bool] = False
     """Whether the energy is a sum over moments, which a banded Hessian can hold."""
     own: ErrorCovariance
-    """Error of a point beside the path."""
+    """Error of a point's position relative to the mean of all points."""
     path: ErrorCovariance
-    """Error that all points have in common."""
+    """Error that all points have in common: that of their mean."""
     segment: Float[Tensor, "*batch moments points"]
     """Number of the stretch of time in which a point does not jump."""
     ground_known: bool = False

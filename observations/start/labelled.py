@@ -224,7 +224,7 @@ class _PoseTracker:
         return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
     def _cheapest_hypotheses(
-        self, moments: _FramesToPose, posed: BonePoses, found: BoneTargets
+        self, moments: _FramesToPose, posed: BonePoses, targets: BoneTargets
     ) -> Int[Tensor, " rows"]:
         """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
         frames, hypotheses = len(moments.frame_index), len(_HYPOTHESES)
@@ -238,7 +238,7 @@ class _PoseTracker:
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(hypotheses, 1), eye,
         )  # fmt: skip
-        labels = concatenate([found] * hypotheses)
+        labels = concatenate([targets] * hypotheses)
         away = labels.residuals(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)

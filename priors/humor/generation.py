@@ -120,13 +120,13 @@ def drawn_step(
         The canonical frame of the state, the next state in it, and the logits of contacts.
     """
     frame = Frame.of(state)
-    here = frame.to_frame(state, pelvis)
-    packed = here.pack()
+    canonical = frame.to_frame(state, pelvis)
+    packed = canonical.pack()
     latent, log_variance = networks.prior(packed)
     if random is not None:
         noise = torch.randn(latent.shape, generator=random).to(latent)
         latent = latent + temperature * noise * (0.5 * log_variance).exp()
-    return frame, *state_after_step(here, networks.decode(packed, latent))
+    return frame, *state_after_step(canonical, networks.decode(packed, latent))
 
 
 TEMPERATURE = 0.9

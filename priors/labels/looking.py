@@ -272,10 +272,10 @@ def neighbouring_moments(
 def label_probabilities(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
     """Convert the network's outputs to labels, mixing left and right by their probability."""
     exists = present[..., None]
-    as_said = raw.sides.sigmoid()[:, None, None]
+    unswapped = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)
-    regions = as_said * regions + (1 - as_said) * regions[..., list(MIRRORED_REGIONS)]
-    places = torch.where(as_said < 0.5, mirrored_places(raw.places), raw.places)
+    regions = unswapped * regions + (1 - unswapped) * regions[..., list(MIRRORED_REGIONS)]
+    places = torch.where(unswapped < 0.5, mirrored_places(raw.places), raw.places)
     return PointLabels(
         present=present,
         regions=regions.where(exists, 0.0),
