@@ -43,7 +43,7 @@ def with_path_in_metres(
         feet: places in the frame of the camera, metres; nan where they are not known.
     """
     poses = view.camera.T_world_camera.double().cpu().numpy()
-    units = [metres_per_path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
+    units = [metres_per_path_unit(T, at, view.fps) for T, at in zip(poses, feet, strict=True)]
     return with_scaled_path(view, torch.tensor(units))
 
 
@@ -52,8 +52,8 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
-    back = view.camera.derived(T_camera_world=T).T_world_camera  # `T_world_camera` is T's inverse
-    return view.derived(camera=view.camera.derived(T_camera_world=back))
+    inverse = view.camera.derived(T_camera_world=T).T_world_camera  # a camera inverts its pose
+    return view.derived(camera=view.camera.derived(T_camera_world=inverse))
 
 
 def metres_per_path_unit(
@@ -174,7 +174,7 @@ def can_triangulate(views: Sequence[Keypoints2D]) -> bool:
     return bool(exists.any(-1).any(-1).all())
 
 
-def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
+def guess_from_views(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
     """First guess from several views: rest body at the triangulated torso, limbs turned."""
     first = views[0]
     positions, visible = triangulate(views)

@@ -129,7 +129,7 @@ class BodyPoints:
 
     @classmethod
     def of_layout(cls, layout: str, body: BodyModel) -> "BodyPoints":
-        """Make the points on a body that are the keypoints of a layout, in its order.
+        """Find the places on a body of all keypoints of a layout, in the order of the layout.
 
         Raises:
             ValueError: when there is no such layout.
@@ -183,24 +183,24 @@ class BodyPoints:
         A joint does so on the bone that begins and on the one that ends there; a mean of joints
         on a bone that all of them do so on.
         """
-        kept = [self._bones_rigid_with_point(row, body) for row in range(len(self.names))]
+        bones = [self._bones_rigid_with_point(row, body) for row in range(len(self.names))]
         rest = self.at_rest(body, body.template.new_zeros(body.shape_size))
-        apart = torch.cdist(rest, rest)
-        count = range(len(kept))
+        distances = torch.cdist(rest, rest)
+        count = range(len(bones))
         return tuple(
             (a, b) for a in count for b in count
-            if a < b and kept[a] & kept[b] and float(apart[a, b]) > _MIN_REST_DISTANCE_M
+            if a < b and bones[a] & bones[b] and float(distances[a, b]) > _MIN_REST_DISTANCE_M
         )  # fmt: skip
 
     def _bones_rigid_with_point(self, row: int, body: BodyModel) -> frozenset[int]:
         joints = self.of_joints[row].nonzero()[:, 0].tolist()
         rows = self.vertices[self.of_vertices[row] > 0]
-        on = [frozenset((joint, PARENTS[joint])) for joint in joints]
-        on += [frozenset((bone,)) for bone in body.weights[rows].argmax(-1).tolist()]
-        return frozenset.intersection(*on) - {-1} if on else frozenset()
+        bones = [frozenset((joint, PARENTS[joint])) for joint in joints]
+        bones += [frozenset((bone,)) for bone in body.weights[rows].argmax(-1).tolist()]
+        return frozenset.intersection(*bones) - {-1} if bones else frozenset()
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Positions of points on a posed body, world, metres; zero for points that it lacks."""
+        """Points on a posed body, world, metres; zero for points that the body lacks."""
         own = self.on(posed.joints.device, posed.joints.dtype)
         points = own.of_joints @ posed.joints
         if len(own.vertices) == 0:

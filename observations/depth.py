@@ -142,7 +142,7 @@ class PointCloud(Sensor):
         return self.present
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """The noise of the sensor, given or `CLOUD_NOISE`; see `CLOUD_WORTH` for its weight."""
+        """Noise as given or `CLOUD_NOISE`; a frame weighs no more than `CLOUD_WORTH` points."""
         del guess, body
         noise = CLOUD_NOISE if given is None else given
         count = self.present.sum(-1)
@@ -161,7 +161,7 @@ class PointCloud(Sensor):
         return found
 
     def matched(self, estimate: Estimate) -> MatchedCloud:
-        """The energy with correspondences and scale fixed at the given estimate."""
+        """The energy with the disc of every point and the kernel's scale fixed at an estimate."""
         with torch.no_grad():
             middles, normals, seen = self._discs_in_recording(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)

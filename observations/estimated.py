@@ -1,4 +1,4 @@
-"""Points of the skin in an earlier estimate of the motion; errors are correlated over time.
+"""Points of the skin from an earlier estimate of a motion, with errors correlated over time.
 
 A network that looks at video is not noisy as a sensor is: what it gets wrong in one frame it gets
 wrong in the next, by joint, and the whole path drifts. Counted as independent, a second of such
@@ -35,11 +35,11 @@ class ErrorCovariance:
     """
 
     jitter: float
-    """Standard deviation of what is another in every frame at 30 Hz."""
+    """Standard deviation at 30 Hz of the part of the error that is independent in every frame."""
     slow: float
-    """Standard deviation of what lasts."""
+    """Standard deviation of the part of the error that changes slowly."""
     seconds: float
-    """Time after which its correlation has fallen to one half; it changes smoothly."""
+    """Time after which the correlation of the slow part has fallen to about one half."""
 
     def precision_matrix(
         self,
@@ -59,8 +59,7 @@ class ErrorCovariance:
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
         slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])
-        # jitter is independent in every frame: it grows with the root of the frame rate, so that a
-        # second of data determines the motion equally well at any rate
+        # larger at higher frame rates, so that a second of data says equally much at any rate
         jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
         variance = jitter.clamp(max=_UNSEEN).square()
         return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)
@@ -80,9 +79,9 @@ class EstimatedPoints(Markers3D):
     momentwise: ClassVar[bool] = False
     """Whether the energy is a sum over moments, which a banded Hessian can hold."""
     own: ErrorCovariance
-    """Error of a point beside the path."""
+    """Error of a point's position relative to the mean of all points."""
     path: ErrorCovariance
-    """Error that all points have in common."""
+    """Error that all points have in common: that of their mean."""
     segment: Float[Tensor, "*batch moments points"]
     """Number of the stretch of time in which a point does not jump."""
     ground_known: bool = False
@@ -100,10 +99,10 @@ class EstimatedPoints(Markers3D):
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """Energy ½ s² Σ rᵀ C⁻¹ r (metres²) of the points' mean and of each point about it."""
         points, seen = self.expected(estimate)
-        there = self.visible[..., seen, :, None]
-        away = (self.positions[..., seen, :, :] - points).where(there, 0.0)
-        common = away.sum(-2, keepdim=True) / there.sum(-2, keepdim=True).clamp(min=1)
-        own = (away - common).where(there, 0.0)
+        visible = self.visible[..., seen, :, None]
+        away = (self.positions[..., seen, :, :] - points).where(visible, 0.0)
+        common = away.sum(-2, keepdim=True) / visible.sum(-2, keepdim=True).clamp(min=1)
+        own = (away - common).where(visible, 0.0)
         path, points = self._inverse_covariances
         path, points = path[..., seen, seen], points[..., seen, seen]
         slid = torch.einsum("...tpd,...pts,...spd->...", own, points, own)
@@ -117,14 +116,14 @@ class EstimatedPoints(Markers3D):
         Float[Tensor, "*batch moments moments"], Float[Tensor, "*batch points moments moments"]
     ]:
         """Inverse covariances over time: of the points' mean, and of each point about the mean."""
-        seen = self.visible.to(self.positions)
-        unseen = torch.inf
-        anything = torch.where(self.visible.any(-1), 1.0, unseen).to(seen)
-        each = torch.where(self.visible.mT, 1.0, unseen).to(seen)
-        one = torch.zeros_like(anything)
+        like = self.positions
+        infinite_error = torch.inf
+        of_mean = torch.where(self.visible.any(-1), 1.0, infinite_error).to(like)
+        of_points = torch.where(self.visible.mT, 1.0, infinite_error).to(like)
+        one_segment = torch.zeros_like(of_mean)
         return (
-            self.path.precision_matrix(anything, one, self.fps),
-            self.own.precision_matrix(each, self.segment.mT, self.fps),
+            self.path.precision_matrix(of_mean, one_segment, self.fps),
+            self.own.precision_matrix(of_points, self.segment.mT, self.fps),
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":

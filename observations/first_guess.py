@@ -22,8 +22,8 @@ class FirstGuess:
     distance_known: bool
     """Whether the body's position is known; one camera tells only its direction.
 
-    Stage 1 places the rest body better. Where only a direction is known it must be left out, as
-    it would explain bent limbs by a larger distance.
+    Stage 1 of a fit places the rest body better. Where only a direction is known the stage is left
+    out, as it would explain bent limbs by a larger distance.
     """
     aligned: bool = False  # whether trunk and limbs point where the data show them
     posed: bool = False
@@ -46,18 +46,18 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
         # imported only when several cameras see the points, which may be triangulated then
-        from observations.camera_paths import can_triangulate, views_on_one_clock, views_start
+        from observations.camera_paths import can_triangulate, guess_from_views, views_on_one_clock
 
         alike = views_on_one_clock(views)
         if len(alike) > 1 and can_triangulate(alike):
-            return FirstGuess(views_start(body, alike), True, aligned=True)
+            return FirstGuess(guess_from_views(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)
-        return FirstGuess(_posed_as(posed, views[0].start(body)) if views else posed, True)
+        return FirstGuess(_copy_poses(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
 
 
-def _posed_as(posed: Motion, placed: Motion) -> Motion:
+def _copy_poses(posed: Motion, placed: Motion) -> Motion:
     """Give motion `placed` the poses and translations of `posed`, at the frame rate of `placed`.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
@@ -70,9 +70,9 @@ def _posed_as(posed: Motion, placed: Motion) -> Motion:
         for time in (posed.start_time, posed.stop_time)
     )
     shared = times.clamp(begin, end).to(placed.translation.device)
-    there = posed.at(shared.clamp(max=posed.stop_time), placed.fps)
-    away = there.translation - placed.at(shared, placed.fps).translation
-    return placed.replace(translation=placed.translation + away, rotations=there.rotations)
+    sampled = posed.at(shared.clamp(max=posed.stop_time), placed.fps)
+    shift = sampled.translation - placed.at(shared, placed.fps).translation
+    return placed.replace(translation=placed.translation + shift, rotations=sampled.rotations)
 
 
 def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:

@@ -37,9 +37,9 @@ class Discs(TensorStruct):
     weights: Float[Tensor, "*batch moments 22 points"]
     """Skinning weights."""
     middles: Float[Tensor, "*batch moments 3 points"]
-    """On the average body, metres."""
+    """Centres of the discs on the average body, metres."""
     by_shape: Float[Tensor, "*batch moments shape coordinates"]
-    """Derivatives of the middles by the coefficients of the shape; x of all points, y, z."""
+    """Derivatives of the centres by the shape's coefficients; x of all points, then y, then z."""
     normals: Float[Tensor, "*batch moments 3 points"]
     radii: Float[Tensor, "*batch moments points"]
     """Metres."""
@@ -96,9 +96,9 @@ class _PointsBesideDiscs:
 
     unposed: Float[Tensor, "*batch moments 3 points"]
     maps: Float[Tensor, "*batch moments 4 3 points"]
-    """Of the discs: three rows that turn, and one that moves."""
+    """Affine maps that pose the discs: three rows that rotate, and one that translates."""
     length: Float[Tensor, "*batch moments points"]
-    """Of the normals before they have unit length."""
+    """Length of the posed normals before they are normalised."""
     normals: Float[Tensor, "*batch moments 3 points"]
     """n."""
     offsets: Float[Tensor, "*batch moments 3 points"]

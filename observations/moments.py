@@ -28,7 +28,7 @@ def checked_for_stream(given: Any) -> Tracker:
             f"{type(given).__name__}; fit other sensors with recon.fit"
         )
     if given.clips not in ((), (1,)):
-        raise ObservationError(f"expected one person, got leading axes {given.clips}")
+        raise ObservationError(f"expected one clip of one person, got leading axes {given.clips}")
     one = given[0] if given.clips else given
     if isinstance(one, Keypoints2D):
         if one.unposed:

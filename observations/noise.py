@@ -39,13 +39,13 @@ def estimate_noise(
     the frames that show something are taken one after the other; where that does not help either,
     the upper limit is assumed.
     """
-    bends = _third_differences(positions, visible)
-    if bends.numel() == 0:
+    differences = _third_differences(positions, visible)
+    if differences.numel() == 0:
         shown = visible.flatten(0, -3).any(-1).any(0) if visible.ndim > 2 else visible.any(-1)
-        bends = _third_differences(positions[..., shown, :, :], visible[..., shown, :])
-    if bends.numel() == 0:
+        differences = _third_differences(positions[..., shown, :, :], visible[..., shown, :])
+    if differences.numel() == 0:
         return limits[1]
-    noise = float(bends.median()) / NORMAL_MEDIAN / _THIRD_DIFFERENCE
+    noise = float(differences.median()) / NORMAL_MEDIAN / _THIRD_DIFFERENCE
     return min(max(noise, limits[0]), limits[1])
 
 

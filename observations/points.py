@@ -103,8 +103,8 @@ class PointsOfBody(Sensor):
     def joints_located(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
         """Whether some visible point locates each joint, in every frame."""
         located_joints = torch.from_numpy(self.located_joints(body)).to(self.shown.device)
-        tells = located_joints.to(torch.get_default_dtype())
-        return (self.shown.to(tells) @ tells) > 0
+        locates = located_joints.to(torch.get_default_dtype())
+        return (self.shown.to(locates) @ locates) > 0
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
         """Mask (frames, 22) of the first clip's joints that some visible point locates."""
@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a tensor, since torch divides a number by a tensor in another way, with other rounding
+        # a tensor: torch rounds the quotient of a Python number and a tensor in another way
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 

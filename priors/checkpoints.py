@@ -67,22 +67,22 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def integer_settings(self, *names: str, least: int = 1, **texts: str) -> list[int]:
-        """Return the integer settings `names`; refuse a file with other values of `texts`.
+        """Return the integer settings `names`; refuse a file whose settings differ from `texts`.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
         """
         found = [self.settings.get(name) for name in names]
-        right = [size for size in found if isinstance(size, int) and size >= least]
-        told = {name: self.settings.get(name) for name in texts}
-        if len(right) < len(found) or told != texts:
+        valid = [size for size in found if isinstance(size, int) and size >= least]
+        found_texts = {name: self.settings.get(name) for name in texts}
+        if len(valid) < len(found) or found_texts != texts:
             expected = [f"{name} ({least} or more)" for name in names]
             expected += [f"{name} = {word!r}" for name, word in texts.items()]
             raise WeightsError(
                 f"{self.path}: expected the settings {', '.join(expected)}, got "
                 f"{dict(self.settings)}; weights of other versions must be trained anew"
             )
-        return right
+        return valid
 
     def copy_into(self, network: nn.Module) -> None:
         """Copy the file's tensors into a network; raises as `require` if its layers differ."""
@@ -102,7 +102,7 @@ def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
 
 
 def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
-    """Load weights by name: `open` (in the package), or a path.
+    """Load the packaged weights of `kind` if `name` is "open", else those of the file `name`.
 
     Raises:
         FileNotFoundError: when there is no such file.

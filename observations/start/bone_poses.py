@@ -89,7 +89,7 @@ class BoneTargets(TensorStruct):
     """Inverse variance of a coordinate, 1 / metres²; zero for rows without a point."""
     bone: Int[Tensor, "rows points"]
     place: Float[Tensor, "rows points 3"]
-    """Vector from the joint of the bone, in the bone's frame, metres."""
+    """Vector from the joint of the bone to the point, in the bone's frame, metres."""
 
     def residuals(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
         """Residuals, predicted minus measured positions of the points, metres."""
@@ -104,7 +104,7 @@ class BonePoses(TensorStruct):
     """Poses of several frames of a body, with the resulting bone orientations and joints."""
 
     translation: Float[Tensor, "rows 3"]
-    """The translation of `Motion`, which does not turn the rest pelvis."""
+    """As in `Motion`: the body turns about its rest pelvis, and is then moved by this vector."""
     root: Float[Tensor, "rows 3 3"]
     coordinates: Float[Tensor, "rows 63"]
     """Coordinates z of the other joints; see `PoseDensity`."""
@@ -295,12 +295,12 @@ def _aligned_rigidly(
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
     """The rigid transform that aligns the model with the points by least squares."""
     total = weight.sum(-1).clamp(min=1e-9)[:, None]
-    there = (weight[..., None] * points).sum(1) / total
-    here = (weight[..., None] * model).sum(1) / total
-    away = points - there[:, None], model - here[:, None]
-    spread = torch.einsum("rn,rni,rnj->rij", weight, *away)
-    turn = so3.nearest_rotation(spread.double()).to(model)
-    return there - (turn @ here[..., None])[..., 0], turn
+    centre = (weight[..., None] * points).sum(1) / total
+    model_centre = (weight[..., None] * model).sum(1) / total
+    centred = points - centre[:, None], model - model_centre[:, None]
+    covariance = torch.einsum("rn,rni,rnj->rij", weight, *centred)
+    turn = so3.nearest_rotation(covariance.double()).to(model)
+    return centre - (turn @ model_centre[..., None])[..., 0], turn
 
 
 def _bone_derivatives(
@@ -332,8 +332,7 @@ def _derivatives_by_coordinates(
     mass, across, between = hessian_by_rotations(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
-    # Jacobian of all rotations by the root's rotation and by pose coordinates z; the rotation
-    # vectors of the other joints are B z
+    # Jacobian of all joint rotations by the root's rotation and by pose coordinates z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)
     whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)

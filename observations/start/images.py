@@ -95,7 +95,7 @@ def bone_distance(
     confidence: Float[Tensor, "batch time points"],
     camera: Camera,
 ) -> Float[Tensor, "batch time"]:
-    """Distance of an average body from the camera in each frame, by its bones, metres.
+    """Distance of an average body from the camera in each frame, from its bones' image, metres.
 
     Focal length times a high quantile over the visible bones of length in the image over length
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
@@ -131,7 +131,7 @@ def pixels_per_metre(
 def _weak_perspective(
     pixels: Float[Tensor, "batch time points 2"],
     weight: Float[Tensor, "batch time points"],
-    seen: Float[Tensor, "batch time headings points 2"],
+    body_points: Float[Tensor, "batch time headings points 2"],
 ) -> tuple[Float[Tensor, "batch time headings"], Float[Tensor, "batch time headings 2"]]:
     """Fit body points q to pixels u by centre c and scale s: least Σ w |u - c - s q|².
 
@@ -141,8 +141,8 @@ def _weak_perspective(
     share = (weight / weight.sum(-1, keepdim=True).clamp(min=1e-12))[..., None, :, None]
     image = pixels[..., None, :, :]
     image_middle = (share * image).sum(-2, keepdim=True)
-    body_middle = (share * seen).sum(-2, keepdim=True)
-    u, q = image - image_middle, seen - body_middle
+    body_middle = (share * body_points).sum(-2, keepdim=True)
+    u, q = image - image_middle, body_points - body_middle
     size = (share * q.square()).sum((-1, -2)).clamp(min=1e-12)
     scale = ((share * u * q).sum((-1, -2)) / size).clamp(min=0)
     total = (share * u.square()).sum((-1, -2)).clamp(min=1e-12)

@@ -68,7 +68,7 @@ _CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 class _FramesToPose:
     """Clouds of the frames of one clip, about ten per second, in which a pose is fitted."""
 
-    number: Int[Tensor, " rows"]
+    frame_index: Int[Tensor, " rows"]
     points: Float[Tensor, "rows points 3"]
     present: Bool[Tensor, "rows points"]
     labels: PointLabels
@@ -180,7 +180,7 @@ class _PoseTracker:
         posed = self._poses_of_hypotheses(targets)
         posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
         path = self._cheapest_hypotheses(moments, posed, hypotheses[0])
-        rows = path * len(moments.number) + torch.arange(len(path))
+        rows = path * len(moments.frame_index) + torch.arange(len(path))
         penalty = PoseChangePenalty(
             torch.ones(len(path) - 1, dtype=torch.bool),
             place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
@@ -190,7 +190,7 @@ class _PoseTracker:
             posed[rows], self.solver, targets[rows], _STEP_SCALES, penalty
         )
         return interpolated_poses(
-            found.translation, found.rotations, moments.number, torch.arange(count)
+            found.translation, found.rotations, moments.frame_index, torch.arange(count)
         )
 
     def _targets(self, moments: _FramesToPose, signs: tuple[int, int, int]) -> BoneTargets:
@@ -224,10 +224,10 @@ class _PoseTracker:
         return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
     def _cheapest_hypotheses(
-        self, moments: _FramesToPose, posed: BonePoses, found: BoneTargets
+        self, moments: _FramesToPose, posed: BonePoses, targets: BoneTargets
     ) -> Int[Tensor, " rows"]:
         """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
-        frames, hypotheses = len(moments.number), len(_HYPOTHESES)
+        frames, hypotheses = len(moments.frame_index), len(_HYPOTHESES)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),
             fps=RATE,
@@ -238,7 +238,7 @@ class _PoseTracker:
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(hypotheses, 1), eye,
         )  # fmt: skip
-        labels = concatenate([found] * hypotheses)
+        labels = concatenate([targets] * hypotheses)
         away = labels.residuals(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
@@ -253,34 +253,34 @@ def _frames_to_pose(
 ) -> _FramesToPose | None:
     """Select about ten frames per second with enough points; None if there are none."""
     enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
-    number = enough.nonzero()[:, 0]
-    if len(number) == 0:
+    frame_index = enough.nonzero()[:, 0]
+    if len(frame_index) == 0:
         return None
     stride = max(1, round(fps / RATE))
-    kept = [int(number[0])]
-    for k in number[1:].tolist():
-        if k - kept[-1] >= stride or k == int(number[-1]):
+    kept = [int(frame_index[0])]
+    for k in frame_index[1:].tolist():
+        if k - kept[-1] >= stride or k == int(frame_index[-1]):
             kept.append(k)
-    number = torch.tensor(kept)
+    frame_index = torch.tensor(kept)
     # random order, present points first, so that the points that are kept cover all scan lines
     order = (
-        present[number].float()
+        present[frame_index].float()
         + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2
     )
     pick = order.argsort(-1, descending=True)[:, :_POINTS]
 
     def selected(values: Tensor) -> Tensor:
-        some = values[number]
+        some = values[frame_index]
         index = pick if some.ndim == 2 else pick[..., None].expand(*pick.shape, some.shape[-1])
         return some.gather(1, index)
 
     return _FramesToPose(
-        number,
+        frame_index,
         selected(points).float(),
         selected(present),
         labels.map(selected),
-        None if eye is None else eye[number].float(),
-        number.diff() / fps,
+        None if eye is None else eye[frame_index].float(),
+        frame_index.diff() / fps,
     )
 
 

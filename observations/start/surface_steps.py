@@ -66,8 +66,8 @@ class SeenSurface:
     cover: Surfels
     points: Float[Tensor, "rows points 3"]
     present: Bool[Tensor, "rows points"]
-    costs: Float[Tensor, "rows points 16"]
-    kinds: Float[Tensor, "surfels 16"]
+    point_features: Float[Tensor, "rows points 16"]
+    disc_features: Float[Tensor, "surfels 16"]
     bone: Int[Tensor, " surfels"]
     """The bone that moves each surfel most."""
     eye: Float[Tensor, "rows 3"] | None
@@ -82,17 +82,16 @@ class SeenSurface:
         eye: Float[Tensor, "rows 3"] | None,
     ) -> "SeenSurface":
         """Collect points, with the cost of matching each with every surface disc by its label."""
-        kinds = surfel_features(cover, body)
+        discs = surfel_features(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
-        costs = label_features(labels)
-        return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
+        return cls(body, cover, points, labels.present, label_features(labels), discs, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
         """Return the surface points of the frames with the given indices."""
         eye = None if self.eye is None else self.eye[index]
         return replace(
             self, points=self.points[index], present=self.present[index],
-            costs=self.costs[index], eye=eye,
+            point_features=self.point_features[index], eye=eye,
         )  # fmt: skip
 
     def refined_to_surface(
@@ -124,7 +123,9 @@ class SeenSurface:
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if self.eye is not None:
             allowed = are_facing_eye(middles, normals, self.eye)
-        found = nearest_alike(self.points, self.present, self.costs, middles, allowed, self.kinds)
+        found = nearest_alike(
+            self.points, self.present, self.point_features, middles, allowed, self.disc_features
+        )
         pick = found[..., None].expand(*found.shape, 3)
         middle, normal = middles.gather(1, pick), normals.gather(1, pick)
         away = self.points - middle

@@ -181,12 +181,12 @@ class CycleBasis(TensorStruct):
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
         """Return a cycle's duration and cosine coefficients over time of all other row entries."""
         waves = cosines(ANCHORS, COSINES).to(normalised)
-        slow = waves.mT @ normalised[..., :-1] * _units_of_features(normalised)
+        slow = waves.mT @ normalised[..., :-1] * _scales_of_row_entries(normalised)
         return torch.cat((slow.flatten(-2), _TIME * normalised[..., -1, -1:]), -1)
 
     def from_codes(self, codes: Float[Tensor, "*batch codes"]) -> Float[Tensor, "*batch 100 124"]:
         """Return the normalised rows of a cycle from its cosine coefficients and duration."""
-        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _units_of_features(
+        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _scales_of_row_entries(
             codes
         )
         even = torch.linspace(0, 1, ANCHORS, dtype=codes.dtype, device=codes.device)
@@ -205,5 +205,5 @@ class CycleBasis(TensorStruct):
         return self.from_codes(self.mean + (coefficients * self.scale) @ self.directions)
 
 
-def _units_of_features(like: Tensor) -> Float[Tensor, " channels"]:
+def _scales_of_row_entries(like: Tensor) -> Float[Tensor, " channels"]:
     return torch.cat((like.new_ones(POSE_NUMBERS), like.new_full((3,), _PLACE)))

@@ -60,8 +60,8 @@ class AnchorNetworks(nn.Module):
         self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch 100 124"]:
         """Decode latent codes to aligned cycles, in the units of the training losses."""
-        bent = self.decoder(torch.cat((latent, shape), -1))
-        return self.basis.synthesise(latent @ self.from_code.mT + bent)
+        nonlinear = self.decoder(torch.cat((latent, shape), -1))
+        return self.basis.synthesise(latent @ self.from_code.mT + nonlinear)
 
     def decode(
         self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
@@ -105,7 +105,7 @@ class CodeSpread(TensorStruct):
 
     mean: Float[Tensor, " latent"]
     root: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular factor of the codes' covariance."""
     typical: Float[Tensor, "typical latent"]
     """Codes of different kinds of cycles, to begin a search with."""
 

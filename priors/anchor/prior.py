@@ -134,8 +134,8 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         """Return the last stage, for dense data, which adds corrections to the decoded cycle."""
         minimiser = LBFGS(60, tolerance_decrease=1e-5)
         stage = self._stage("details", data, noise, _BODY | {"bend", "shift"}, minimiser)
-        held = Term("details", prior_energy("details"), noise**2)
-        return (replace(stage, terms=(*stage.terms, held)),)
+        penalty = Term("details", prior_energy("details"), noise**2)
+        return (replace(stage, terms=(*stage.terms, penalty)),)
 
     def _stage(
         self,

@@ -45,7 +45,7 @@ class FootingSettings:
     """Settings that keep sampled motions on the ground; chosen on validation people."""
 
     draws: int = 8
-    """Next states of each motion, of which one is kept."""
+    """Candidates that are drawn for each next state, of which one is kept."""
     strictness: float = 4.0
     """A draw is kept with probability ∝ exp(-strictness · nats)."""
     raised: float = 0.2
@@ -70,22 +70,22 @@ class FootingSettings:
         """
         height = after.joints[:, FEET, 2] - contact_heights
         speed = (after.joints - before.joints)[:, FEET].square().sum(-1) * REFERENCE_FPS**2
-        rests = foot_energy(height, speed).amin(-1)
+        foot_nats = foot_energy(height, speed).amin(-1)
         sunk = (-height - _SUNK).amax(-1).clamp(min=0) / _SUNK_SCALE
-        nats = _share_carried(before, after) * rests + 0.5 * sunk.square()
+        nats = _share_carried(before, after) * foot_nats + 0.5 * sunk.square()
         likely = (-self.strictness * nats).unflatten(0, (-1, self.draws)).softmax(-1)
         chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(
             contact_heights.device
         )
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
-    def lowered_towards_ground(
+    def moved_towards_ground(
         self, before: State, after: State, contact_heights: Float[Tensor, "clips 4"]
     ) -> State:
         """Return states moved vertically so that the lowest foot comes nearer to the ground."""
-        lower = (after.joints[:, FEET, 2] - contact_heights).amin(-1)
-        raised = self.raised * (-lower - _SUNK).clamp(min=0)
-        lowered = self.lowered * _share_carried(before, after) * (lower - _ABOVE).clamp(min=0)
+        height = (after.joints[:, FEET, 2] - contact_heights).amin(-1)
+        raised = self.raised * (-height - _SUNK).clamp(min=0)
+        lowered = self.lowered * _share_carried(before, after) * (height - _ABOVE).clamp(min=0)
         up = after.translation.new_tensor([0.0, 0.0, 1.0])
         shift = (raised - lowered)[:, None] * up
         return after.replace(
@@ -120,13 +120,13 @@ def drawn_step(
         The canonical frame of the state, the next state in it, and the logits of contacts.
     """
     frame = Frame.of(state)
-    here = frame.to_frame(state, pelvis)
-    packed = here.pack()
+    canonical = frame.to_frame(state, pelvis)
+    packed = canonical.pack()
     latent, log_variance = networks.prior(packed)
     if random is not None:
         noise = torch.randn(latent.shape, generator=random).to(latent)
         latent = latent + temperature * noise * (0.5 * log_variance).exp()
-    return frame, *state_after_step(here, networks.decode(packed, latent))
+    return frame, *state_after_step(canonical, networks.decode(packed, latent))
 
 
 TEMPERATURE = 0.9
@@ -148,7 +148,7 @@ def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
 
 
 @torch.no_grad()
-def roll_from(
+def roll_out_from(
     humor: Humor,
     first: State,
     shape: Float[Tensor, "clips shape"],
@@ -194,7 +194,7 @@ def roll_from(
                 assert random is not None
                 selected = footing.selected_draws(before, after, low, random)
                 after, touched = after[selected], touched[selected]
-            after = footing.lowered_towards_ground(states[-1], after, touching)
+            after = footing.moved_towards_ground(states[-1], after, touching)
         states.append(after)
         logits.append(touched)
 
@@ -236,8 +236,8 @@ def predict(
         frames: to come, the first included.
         samples: continuations of every clip.
         random: of the latents; None takes the prior's mean at every step.
-        temperature: as of `roll_from`.
-        footing: as of `roll_from`.
+        temperature: as of `roll_out_from`.
+        footing: as of `roll_out_from`.
 
     Raises:
         ValueError: when a clip is padded or shorter than two frames.
@@ -256,7 +256,7 @@ def predict(
 
     last = motion.stop_time
     shape = repeated(motion.shape)
-    return roll_from(
+    return roll_out_from(
         humor,
         first.map(repeated),
         shape,
@@ -281,14 +281,14 @@ def sample(
     """Draw motions: first states from the mixture of states, then a latent for every step.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
-    `temperature` and `footing` are as of `roll_from`; the first states are drawn with the same
+    `temperature` and `footing` are as of `roll_out_from`; the first states are drawn with the same
     temperature.
 
     Raises:
         ValueError: when the mixture is a released one, over numbers that repeat each other.
     """
-    first, shape = first_states(humor.initial, humor.body, samples, random, temperature)
-    return roll_from(humor, first, shape, frames, random, temperature=temperature, footing=footing)
+    start = first_states(humor.initial, humor.body, samples, random, temperature)
+    return roll_out_from(humor, *start, frames, random, temperature=temperature, footing=footing)
 
 
 _FACING = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
@@ -334,8 +334,7 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # the mixture lacks the horizontal place and the velocity of the pelvis, which follow from
-    # the rest pose and from the translation
+    # what the mixture lacks of the pelvis, x, y and velocity, the rest pose and translation tell
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

@@ -50,17 +50,17 @@ def _centroid_speed(sensor: Any) -> Float[Tensor, " clips"]:
     """Mean speed of the centroid of visible points over `_SPEED_SPAN_S`, m/s."""
     places, shown = sensor.places, sensor.shown
     lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
-    both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
-    moved = (places[:, lag:] - places[:, :-lag]).where(both > 0, 0.0)
-    middle = moved.sum(2) / both.sum(2).clamp(min=1)
-    told = both.any(2)[..., 0].to(places)
-    far = (middle.norm(dim=-1) * told).sum(1) / told.sum(1).clamp(min=1)
+    shown_twice = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
+    moved = (places[:, lag:] - places[:, :-lag]).where(shown_twice > 0, 0.0)
+    middle = moved.sum(2) / shown_twice.sum(2).clamp(min=1)
+    any_shown = shown_twice.any(2)[..., 0].to(places)
+    far = (middle.norm(dim=-1) * any_shown).sum(1) / any_shown.sum(1).clamp(min=1)
     return far * sensor.fps / lag
 
 
 @dataclass(frozen=True, eq=False)
 class LikelyStates(TensorStruct):
-    """Energy that makes every state likely in clips of which a limb was not observed."""
+    """Energy of how unlikely each state is, in clips in which a limb was never observed."""
 
     humor: Humor
     """Prior whose mixture of initial states is the density."""
@@ -68,9 +68,9 @@ class LikelyStates(TensorStruct):
     """Joints that nobody saw (`priors.humor.limbs`); clips without any have no energy."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
-        """Σ_t ρ(r(x_t)) over the states x_t, each in its canonical frame; nats.
+        """Σ_t ρ(r_t), nats: robust kernel ρ of the rarity r_t of states in their canonical frames.
 
-        r is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
+        r_t is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
         do what nobody of the corpus did.
         """
         motion = estimate.motion

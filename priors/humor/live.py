@@ -34,9 +34,9 @@ class EnergyOfSteps:
     contacts: Float[Tensor, "time 22"]
     """Probability that a joint touches the ground."""
     error: float
-    """Mean energy of the decoder's error, nats a step, before it is made to count less."""
+    """Mean energy of the decoder's error before the robust kernel, nats per step."""
     surprise: float
-    """Mean surprise of the latents, nats a step, likewise."""
+    """Mean KL divergence of the latents before the robust kernel, nats per step."""
 
 
 @dataclass(frozen=True, eq=False)

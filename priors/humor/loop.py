@@ -61,7 +61,7 @@ _RAW_ORDER = torch.tensor(
 
 @dataclass(frozen=True)
 class FrozenDecoder:
-    """The decoder's weights, transposed, with inputs and outputs in the loop's layout.
+    """The decoder's weights, transposed, with inputs and outputs in the order of the roll-out.
 
     Its outputs: what is added to vectors and height; half of each rotation vector; the horizontal
     move of the translation; contact logits.
@@ -69,8 +69,8 @@ class FrozenDecoder:
 
     layers: tuple[Float[Tensor, "_ _"], ...]
     """Weights of each layer for the state or the units of the layer before."""
-    given: Float[Tensor, "50 all_outputs"]
-    """Weights of all layers, side by side, for the latent and the pelvis's place."""
+    of_constants: Float[Tensor, "50 all_outputs"]
+    """Weights of all layers, side by side, for the inputs latent and pelvis of a step."""
     bias: Float[Tensor, " all_outputs"]
     norms: tuple[tuple[Float[Tensor, " _"], Float[Tensor, " _"]], ...]
     """Scale and shift of the units."""
@@ -97,7 +97,7 @@ class FrozenDecoder:
             place[axis, : len(biases[0])] = inputs[0][joints + axis].sum(0)
         return cls(
             layers=(inputs[0][STATE_ORDER], *inputs[1:]),
-            given=torch.cat((latent, place)),
+            of_constants=torch.cat((latent, place)),
             bias=torch.cat(biases),
             norms=tuple((m.weight.detach().clone(), m.bias.detach().clone()) for m in norms),
             groups=norms[0].num_groups,
@@ -109,7 +109,7 @@ class FrozenDecoder:
     ) -> Float[Tensor, "*batch all_outputs"]:
         """What latents, pelvis and biases add to the linear outputs of all layers."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
-        return torch.cat((latents, place), -1) @ self.given + self.bias
+        return torch.cat((latents, place), -1) @ self.of_constants + self.bias
 
     def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
         """Split what `constant_inputs` returns into one tensor per layer."""
@@ -258,8 +258,7 @@ class _RollOut(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients with respect to the start, raw output and rotations of every step; the loop
-        # goes back in time, and each step adds to the gradients of the step one frame earlier
+        # gradients by each step's start, output and rotations; each adds to the one before in time
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()
@@ -303,11 +302,11 @@ class _LayerBackward:
 
     weight: Float[Tensor, "outputs units"]
     gates: Float[Tensor, "steps batch units"]
-    """Scale of a unit where it is not zero."""
+    """Derivative of the ReLU times the scale: 0 for units that are off, else their scale."""
     groups: Float[Tensor, "steps batch groups _"]
     means: Float[Tensor, "steps batch groups 1"]
     deviations: Float[Tensor, "steps batch groups 1"]
-    """One by the root of the variance."""
+    """Inverse standard deviations, as torch returns them."""
     gradients: list[Float[Tensor, "batch units"]]
     """Gradients of the outputs of the layer before; the last step first."""
 

@@ -96,10 +96,10 @@ class Mixture(TensorStruct):
         self, count: int, random: torch.Generator, temperature: float = 1.0
     ) -> Float[Tensor, "count features"]:
         """Draw vectors x (only entries `features`); `temperature` scales standard deviations."""
-        chance = self.log_weights.exp().cpu()
-        which = torch.multinomial(chance, count, replacement=True, generator=random)
+        probability = self.log_weights.exp().cpu()
+        component = torch.multinomial(probability, count, replacement=True, generator=random)
         white = torch.randn(count, len(self.features), generator=random).to(self.means)
-        which = which.to(self.means.device)
-        lower = self.whitening[which].mT  # solve white = Uᵀ (x - mean) for x - mean
+        component = component.to(self.means.device)
+        lower = self.whitening[component].mT  # solve white = Uᵀ (x - mean) for x - mean
         away = torch.linalg.solve_triangular(lower, white[..., None], upper=False)
-        return self.means[which] + temperature * away[..., 0]
+        return self.means[component] + temperature * away[..., 0]

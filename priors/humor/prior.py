@@ -46,14 +46,14 @@ _METHODS: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Humor(Prior[HumorVariables]):
-    """Rempe et al., ICCV 2021: p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
+    """HuMoR (Rempe et al. 2021): density p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
 
     `decode(encode(m))` is near m but not m: the posterior's means say what the network can say.
     """
 
     methods: ClassVar[tuple[str, ...]] = tuple(_METHODS)
     level: ClassVar[bool] = True
-    """Motions are in the world: a step depends on where up is and where the ground."""
+    """Motions are in the world: a step depends on where up is and where the ground is."""
     networks: HumorNetworks
     initial: Mixture
     body: BodyModel
@@ -171,7 +171,7 @@ class Humor(Prior[HumorVariables]):
 
     @cached_property
     def decoder(self) -> "FrozenDecoder":
-        """A copy of the decoder's weights for the roll-out, in its layout."""
+        """A copy of the decoder's weights in the form that roll-outs use."""
         from priors.humor.loop import FrozenDecoder
 
         return FrozenDecoder.of(self.networks.decoder)

@@ -42,7 +42,7 @@ _REST = frozenset({"latents", "shape"})
 
 @dataclass(frozen=True)
 class HumorWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
+    """Weights by which the prior's energies are multiplied, for observations of weight one."""
 
     transition: float
     """Weight of -log p of the latents, in nats."""
@@ -86,7 +86,7 @@ one camera, of weight 0.002 (fit_rgb_demo_*.cfg), and these with depth (fit_prox
 
 @dataclass(frozen=True)
 class IterationSchedule:
-    """Iteration limits of the phases; a phase with none is skipped."""
+    """Iteration limits of the phases; a phase with a limit of zero is skipped."""
 
     first: int = 0
     """Phase of the first 15 frames, in which first state and latents move."""
@@ -173,11 +173,11 @@ class Shooting(Prior[HumorVariables]):
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         w, schedule = self.weights, self.schedule
-        ground = (Term("ground held", _ground_energy_per_frame, w.ground),) if w.ground > 0 else ()
+        ground = (Term("ground held", _summed_ground_energy, w.ground),) if w.ground > 0 else ()
         always = (
             *data,
             Term("transition", prior_energy("transition"), w.transition),
-            Term("initial", _scaled_by_first_frames(prior_energy("initial")), w.initial),
+            Term("initial", _scaled_by_clip_length(prior_energy("initial")), w.initial),
             Term("shape", shape, w.shape),
             Term("consistency", joint_consistency, w.consistency),
             Term("bones", bone_length, w.bones),
@@ -224,14 +224,14 @@ def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
     return term if unit not in weights else replace(term, weight=weights[unit])
 
 
-def _ground_energy_per_frame(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """The energy `ground_moved` times the number of frames; zero where the ground is known."""
+def _summed_ground_energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """The energy `ground_moved`, counted once per frame; zero where the ground is known."""
     frames = estimate.motion.valid.sum(-1)
     if estimate.scene.ground is None:
         return torch.zeros_like(estimate.motion.shape[..., 0])
     return ground_moved(estimate) * frames
 
 
-def _scaled_by_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
+def _scaled_by_clip_length(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
     """Multiply an energy by the number of frames / 15, as the published second phase does."""
     return lambda estimate: energy(estimate) * (estimate.motion.valid.sum(-1) / FIRST_FRAMES)

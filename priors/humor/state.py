@@ -170,8 +170,8 @@ def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
     Turns are axes times sines of angles: those of a step are small.
     """
     pairs = zip(before.tensors().values(), after.tensors().values(), strict=True)
-    turns = {2, 4}
-    parts = [so3.axis_sine(b @ a.mT) if k in turns else b - a for k, (a, b) in enumerate(pairs)]
+    rotated = {2, 4}
+    parts = [so3.axis_sine(b @ a.mT) if k in rotated else b - a for k, (a, b) in enumerate(pairs)]
     batch = before.translation.shape[:-1]
     return torch.cat([part.flatten(len(batch)) for part in parts], -1)
 

@@ -24,7 +24,7 @@ class StepOutputs(TensorStruct):
     """Outputs of the networks for the steps of motions; axes (clips, steps)."""
 
     error: Float[Tensor, "clips steps 207"]
-    """The raw step from where the decoder lands to where the motion went."""
+    """The step from the decoded next state to the next state of the motion."""
     surprise: Float[Tensor, "clips steps"]
     """KL(q(z | x_(t-1), x_t) ‖ p(z | x_(t-1))), nats."""
     contacts: Float[Tensor, "clips steps 9"]
@@ -54,9 +54,9 @@ def posterior_outputs(
 
 @dataclass(frozen=True)
 class Steps(TensorStruct):
-    """Packed states (`State.pack`) before and after every step, in the frame of its start.
+    """Packed states (`State.pack`) before and after every step, in the frame of the earlier state.
 
-    The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
+    The same as `Frame.to_frame` and `step_between` make, with all vectors turned at once.
     """
 
     start: Float[Tensor, "clips steps 339"]
@@ -81,10 +81,10 @@ class Steps(TensorStruct):
             ),
             -2,
         )
-        # the translation is taken relative to the heading's origin; joints turn about the pelvis
-        about, back = _offset_matrices(vectors.dtype, vectors.device)
-        ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
-        turned = ends @ frame.turn.mT + back * pelvis[:, None, None]
+        # translations are relative to the frame's origin; joints are also rotated about the pelvis
+        minus, plus = _offset_matrices(vectors.dtype, vectors.device)
+        ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - minus @ level
+        turned = ends @ frame.turn.mT + plus * pelvis[:, None, None]
         root = turned[..., 3:6, :].mT
         pose = torch.stack((states.pose[:, :-1], states.pose[:, 1:]))
         packed = torch.cat(
@@ -125,12 +125,12 @@ _MOVED = 207
 @lru_cache(maxsize=8)
 def _offset_matrices(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     """Matrices that subtract frame origin and pelvis from a state, and that add the pelvis."""
-    about = torch.zeros(50, 2, dtype=dtype, device=device)
-    back = torch.zeros(50, 1, dtype=dtype, device=device)
-    about[0, 0] = 1.0
-    about[6:28] = 1.0
-    back[6:28] = 1.0
-    return about, back
+    minus = torch.zeros(50, 2, dtype=dtype, device=device)
+    plus = torch.zeros(50, 1, dtype=dtype, device=device)
+    minus[0, 0] = 1.0
+    minus[6:28] = 1.0
+    plus[6:28] = 1.0
+    return minus, plus
 
 
 def kl_divergence(
@@ -236,7 +236,7 @@ less. Draws of the mixture of initial states have 66 on average."""
 
 @dataclass(frozen=True)
 class CollocationWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
+    """Weights by which the prior's energies are multiplied, for observations of weight one."""
 
     pose: PoseWeights
     """Weights of the pose density, of the shape and of the remaining smoothness."""

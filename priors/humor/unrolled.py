@@ -94,7 +94,7 @@ def encoded_variables(humor: Any, motion: Motion) -> HumorVariables:
         velocity=first.velocity,
         angular_velocity=first.angular_velocity,
         joint_velocities=first.joint_velocities[:, 1:],
-        latents=_latents_along(humor, states, humor.pelvis(motion.shape)),
+        latents=_latents_of_steps(humor, states, humor.pelvis(motion.shape)),
         shape=motion.shape,
         base=motion.rotations[:, 0],
         valid=motion.valid,
@@ -142,7 +142,7 @@ def _first_state(humor: Any, variables: HumorVariables) -> State:
     )
 
 
-def _latents_along(
+def _latents_of_steps(
     humor: Any, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> Float[Tensor, "clips steps 48"]:
     """Encode each step from the state that decoding the previous latents has reached.

@@ -1,4 +1,4 @@
-"""The HUMOS prior fitted to a motion as a whole (collocation): what `Humos` is fitted by.
+"""Fits the HUMOS prior to all frames of a motion at once (collocation), as `Humos` asks.
 
 The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
 networks: how surprising are its codes, and how far from it do they decode. Both together bound
@@ -75,7 +75,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages: root; smooth poses; the density of the whole motion; feet held as well.
+        """Stages: root; smooth poses; the networks' density too; feet kept on the ground as well.
 
         Weights were chosen on eight validation windows among thirteen settings; a calibrated
         bound would have noise² for all. Errors of neighbouring frames repeat each other, so less

@@ -26,7 +26,7 @@ _HEADS = 4
 
 
 class WindowNetworks(nn.Module):
-    """Encoder and decoder of a motion; each window of 0.8 s has a latent code, every 0.4 s."""
+    """Encoder and decoder of motions: a latent code per window of 0.8 s, a window every 0.4 s."""
 
     def __init__(
         self, basis: LappedBasis, latent: int, shape: int, width: int, layers: int,
@@ -73,8 +73,8 @@ class WindowNetworks(nn.Module):
         frames: int,
     ) -> Float[Tensor, "clips time numbers"]:
         """Decode latent codes to `frames` feature rows of a motion of a body of given shape."""
-        bent = self.decoder(latent, shape, exists)
-        return self.basis.synthesise(latent @ self.from_code.mT + bent, frames)
+        nonlinear = self.decoder(latent, shape, exists)
+        return self.basis.synthesise(latent @ self.from_code.mT + nonlinear, frames)
 
 
 class _Transformer(nn.Module):
@@ -143,10 +143,10 @@ class CodeDensity(TensorStruct):
 
     mean: Float[Tensor, " latent"]
     root: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular; a code is z = mean + root u."""
     follow: Float[Tensor, "latent latent"]
     rest: Float[Tensor, "latent latent"]
-    """Lower triangular."""
+    """Lower triangular factor of the covariance of u_k given u_(k-1)."""
 
     def whitened(
         self, codes: Float[Tensor, "*batch memory latent"]

@@ -52,7 +52,7 @@ class HumosVariables(TensorStruct):
     """Variables of the HUMOS prior: latent codes and details, one motion per clip."""
 
     latent: Float[Tensor, "*batch memory latent"]
-    """Whitened codes, 0.4 s apart, or one."""
+    """Whitened codes of windows of time, 0.4 s apart."""
     shape: Float[Tensor, "*batch shape"]
     turn: Float[Tensor, "*batch"]
     """Rotation of the heading from `base`."""
@@ -117,7 +117,7 @@ class Humos(Prior[HumosVariables]):
         """
         del method
         if body is not None and body.template.device.type != "cpu":
-            raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
+            raise WeightsError("the HUMOS prior runs on the CPU alone: leave --device at cpu")
         fitted = imported_object("priors.humos.collocation:CollocatedHumos", "method")
         return fitted(self).stages(data, noise)
 

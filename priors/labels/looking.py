@@ -54,7 +54,7 @@ class PointLabels(TensorStruct):
         return self.log_std.exp().where(self.present, 0.0)
 
     @classmethod
-    def known(
+    def of_vertices(
         cls,
         body: BodyModel,
         vertices: Int[Tensor, "*batch moments points"],
@@ -217,17 +217,17 @@ class CloudLabeller:
             level: whether z is known to point up.
         """
         batch, moments = points.shape[:-3], points.shape[-3]
-        flat = points.reshape(-1, *points.shape[-3:]).float()
-        here = present.reshape(-1, *present.shape[-2:])
+        clouds = points.reshape(-1, *points.shape[-3:]).float()
+        masks = present.reshape(-1, *present.shape[-2:])
         at = None if eyes is None else eyes.expand(*batch, moments, 3).reshape(-1, moments, 3)
-        places = [None] * len(flat) if at is None else list(at.to(flat))
-        said = stack(
+        eyes_of_clouds = [None] * len(clouds) if at is None else list(at.to(clouds))
+        labels = stack(
             [
                 label_probabilities(self._labels_of_clip(cloud, shown, fps, eye, level), shown)
-                for cloud, shown, eye in zip(flat, here, places, strict=True)
+                for cloud, shown, eye in zip(clouds, masks, eyes_of_clouds, strict=True)
             ]
         ).to(dtype=points.dtype)
-        return said.map(lambda rows: rows.reshape(*batch, *rows.shape[1:]))
+        return labels.map(lambda rows: rows.reshape(*batch, *rows.shape[1:]))
 
     def _labels_of_clip(
         self, points: Tensor, present: Tensor, fps: float, eyes: Tensor | None, level: bool
@@ -261,9 +261,9 @@ def neighbouring_moments(
 ) -> tuple[Int[Tensor, "moments steps"], Bool[Tensor, "moments steps"]]:
     """Indices of each frame's neighbouring frames, and a mask of those that can be used."""
     offset = torch.tensor(steps, device=shown.device)
-    asked = torch.arange(len(shown), device=shown.device)[:, None] + offset
-    inside = (asked >= 0) & (asked < len(shown))
-    index = asked.clamp(0, len(shown) - 1)
+    neighbour = torch.arange(len(shown), device=shown.device)[:, None] + offset
+    inside = (neighbour >= 0) & (neighbour < len(shown))
+    index = neighbour.clamp(0, len(shown) - 1)
     wanted = torch.tensor([step * SPACING for step in _OFFSETS], device=shown.device)
     in_time = (offset / fps - wanted).abs() <= _LATE
     return index, (inside & shown[index] & in_time) | (offset == 0) & (wanted == 0)
@@ -272,10 +272,10 @@ def neighbouring_moments(
 def label_probabilities(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
     """Convert the network's outputs to labels, mixing left and right by their probability."""
     exists = present[..., None]
-    as_said = raw.sides.sigmoid()[:, None, None]
+    unswapped = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)
-    regions = as_said * regions + (1 - as_said) * regions[..., list(MIRRORED_REGIONS)]
-    places = torch.where(as_said < 0.5, mirrored_places(raw.places), raw.places)
+    regions = unswapped * regions + (1 - unswapped) * regions[..., list(MIRRORED_REGIONS)]
+    places = torch.where(unswapped < 0.5, mirrored_places(raw.places), raw.places)
     return PointLabels(
         present=present,
         regions=regions.where(exists, 0.0),

@@ -76,10 +76,10 @@ class Patch(TensorStruct):
     mean: Float[Tensor, "moments centres 3"]
     """Mean of the points, metres."""
     covariance: Float[Tensor, "moments centres 6"]
-    """Entries xx, xy, xz, yy, yz, zz of their covariance, m²."""
+    """Entries xx, xy, xz, yy, yz, zz of the points' covariance, m²."""
     normal: Float[Tensor, "moments centres 3"]
-    """Direction in which they vary least, of no certain sign; shorter than one where they vary in
-    other directions as little."""
+    """Direction in which the points vary least, its sign unknown; shorter than one where they vary
+    in other directions as little."""
     flatness: Float[Tensor, "moments centres"]
     """Least variance over the sum of variances: 0 for a plane, a line or a point, 1/3 for a ball,
     less where they lie close together."""
@@ -191,10 +191,10 @@ class SeenClouds(TensorStruct):
     """Clouds of single frames in the form of the network's input; metres."""
 
     points: Float[Tensor, "moments points 3"]
-    """Positions about the median of each cloud, zero where not present."""
+    """Positions relative to the median of each cloud, zero where not present."""
     present: Bool[Tensor, "moments points"]
     eyes: Float[Tensor, "moments 3"]
-    """Place of the sensor about the same median; zero where there is none."""
+    """Position of the sensor relative to the same median; zero where there is none."""
     has_eye: Bool[Tensor, " moments"]
     level: Bool[Tensor, " moments"]
     """Whether z points up."""
@@ -359,8 +359,7 @@ def _surface_features(
     rows += [angles.sin(), angles.cos()]
     for patch in (near, wide):
         facing = (patch.normal * view).sum(-1, keepdim=True)
-        # the sign of a normal is unknown without a sensor, and uncertain where the line of sight
-        # is nearly parallel to the surface
+        # without a sensor, or on surfaces seen edge-on, a normal's sign is unsure: it goes to zero
         normal = patch.normal * (_SIGN * facing).tanh()
         normals.append(normal)
         rows += [normal, facing.abs(), _SIZE * patch.covariance, 10 * patch.flatness[..., None]]

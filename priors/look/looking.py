@@ -60,11 +60,11 @@ class UnseenLimbs(TensorStruct):
     """Masks that say in which frames no sensor determines the rotation of each joint."""
 
     rotations: Bool[Tensor, "clips frames 22"]
-    """No sensor saw a point at the joint's child or further down the tree for `_GAP_S` or longer;
-    the pelvis: no sensor saw anything."""
+    """True where no sensor saw a point at the joint's child or further down the tree for `_GAP_S`
+    or longer; for the pelvis, where no sensor saw anything."""
     never: Bool[Tensor, "clips 22"]
-    """Joints whose rotations are told in hardly any moment; a clip in which every knee and elbow
-    is seen now and then has none."""
+    """Joints whose rotation hardly any moment shows; none in a clip in which every knee and elbow
+    is seen now and then."""
     fps: float
     start_time: float
 
@@ -146,7 +146,7 @@ class UnseenLimbProposals:
         parents = cached_constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
         joints = estimate.body.joints.detach()
         seen = ~unseen[:, parents]
-        found = proposed(self.network, joints, motion.valid, seen, body)
+        found = propose_motions(self.network, joints, motion.valid, seen, body)
         first = int(found.log_weight[0].argmax())
         away = found.joints(body.to(dtype=torch.float32))[:, first] - joints.float()
         std = (found.log_std[:, first].exp().square() + _STD_M**2).sqrt()
@@ -177,7 +177,7 @@ def mean_squared_deviation(
     return float(squared[counted].mean().nan_to_num()) if counted.any() else 0.0
 
 
-def proposed(
+def propose_motions(
     network: LookNetwork,
     joints: Float[Tensor, "clips time 22 3"],
     exists: Bool[Tensor, "clips time"],

@@ -62,7 +62,7 @@ class Proposed(TensorStruct):
 
 
 class LookNetwork(nn.Module):
-    """A network from the seen points of clips to several `Proposed` motions with weights."""
+    """Network that maps the seen points of clips to several motions with weights (`Proposed`)."""
 
     def __init__(
         self, shape: int, width: int = 224, common: int = 4, own: int = 2, hypotheses: int = 4

@@ -23,7 +23,7 @@ REACH_M = 0.1
 
 @dataclass(frozen=True)
 class SeenPoints(TensorStruct):
-    """Positions of points that bones carry: joints, markers, keypoints in space.
+    """Positions of points that move with bones: joints, markers, keypoints in space.
 
     A point p of bone b is at x_b + R_b d: x_b and R_b are position and orientation of the joint b,
     and d is an offset in the rest frame (y up, facing z, left +x). A joint has d = 0.
@@ -79,8 +79,7 @@ class WalkingFrames(TensorStruct):
         near = (1 + apart.square()) ** -2
         angle = torch.atan2(cross @ near, dot @ near)
         turn = so3.about_z(angle)
-        # horizontal place of an upright body's pelvis: the mean of the seen points, minus the
-        # vector from the pelvis to that mean on a standing body
+        # pelvis: the mean of the seen points, less its offset from the pelvis on a standing body
         middle = mean - (turn[..., :2, :2] @ mean_standing[..., None])[..., 0]
         share = total[..., 0] @ near
         origin = near @ (total * middle) / share.clamp(min=1e-6)[..., None]

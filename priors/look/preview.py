@@ -174,20 +174,20 @@ def seen_points(
     return seen, start, fps
 
 
-def _points_at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
+def _points_at_times(sensor: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
     """Interpolate a sensor's positions and visibility to given times (seconds)."""
-    frame = (times - one.start_time) * one.fps
-    last = one.moments - 1
+    frame = (times - sensor.start_time) * sensor.fps
+    last = sensor.moments - 1
     before = frame.floor().long().clamp(0, max(last - 1, 0))
     after = (before + 1).clamp(max=last)
     nearest = frame.round().long().clamp(0, last)
-    exact = ((frame - nearest).abs() / one.fps <= _NEAREST_S)[:, None] & one.shown[nearest]
-    inside = (frame >= 0) & (frame <= last) & (1 / one.fps <= _CLOSE_S)
-    both = one.shown[before] & one.shown[after] & inside[:, None]
-    mixed = one.values[before].lerp(
-        one.values[after], (frame - before).to(one.values)[:, None, None]
+    exact = ((frame - nearest).abs() / sensor.fps <= _NEAREST_S)[:, None] & sensor.shown[nearest]
+    inside = (frame >= 0) & (frame <= last) & (1 / sensor.fps <= _CLOSE_S)
+    both = sensor.shown[before] & sensor.shown[after] & inside[:, None]
+    mixed = sensor.values[before].lerp(
+        sensor.values[after], (frame - before).to(sensor.values)[:, None, None]
     )
-    return mixed.where(both[..., None], one.values[nearest]), exact | both
+    return mixed.where(both[..., None], sensor.values[nearest]), exact | both
 
 
 def _cut_windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:

@@ -41,7 +41,7 @@ COORDINATES = 3 * ROTATIONS
 
 @dataclass(frozen=True)
 class PoseDensity(TensorStruct):
-    """Poses as R_j = M_j Exp(v_j) with v = B z and z ~ N(0, I).
+    """Gaussian density of poses: joint rotations R_j = M_j Exp(v_j), v = B z and z ~ N(0, I).
 
     Tangent vectors about the mean rotation of every joint stay far from half a turn, unlike those
     about the rest pose. The whole covariance B Bᵀ is kept, so joints that move together hold each
@@ -100,7 +100,7 @@ _AROUND_S = 1.0
 
 @dataclass(frozen=True)
 class PoseWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one.
+    """Weights by which the prior's energies are multiplied, for observations of weight one.
 
     An observation counts ½ |error|² in metres²; so for errors of standard deviation s per
     coordinate, a weight is s² times the one that a negative log-probability would have.
@@ -256,7 +256,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         )
 
     def decode(self, variables: PoseVariables) -> Decoded:
-        """Apply the steps; `energies["pose"]` is Σ |z|² over frames, at 30 Hz."""
+        """Return the motion after the steps, and its energy `pose`: Σ |z|² of frames at 30 Hz."""
         x, like = variables, variables.pose
         density, scales = (
             self.density.to(dtype=like.dtype, device=like.device),

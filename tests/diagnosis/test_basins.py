@@ -32,7 +32,7 @@ def scene(noise: float = 0.005, std: float = 0.01):
     points = points + noise * away * torch.randn(*index.shape, 1, generator=g)
     present = facing.gather(-1, index)
     vertices = torch.from_numpy(surfels.vertices)[index]
-    labels = PointLabels.known(body, vertices, present)
+    labels = PointLabels.of_vertices(body, vertices, present)
     view = camera.replace(T_camera_world=camera.T_camera_world[None, None])
     cloud = PointCloud(
         points, present, surfels, motion.fps, camera=view, labels=labels,

@@ -72,7 +72,7 @@ def test_labels_tell_where_a_body_in_an_image_faces():
     index = torch.arange(0, len(body.template), 25)
     points = body.pose(truth[None]).points(index)
     present = torch.ones(points.shape[:-1], dtype=torch.bool)
-    labels = PointLabels.known(body, index.expand(points.shape[:-1]), present)
+    labels = PointLabels.of_vertices(body, index.expand(points.shape[:-1]), present)
     cloud = PointCloud(points, present, surfels, truth.fps, labels=labels)
     guess = first_guess([seen, cloud], body)
     assert joint_error(guess.motion, truth) < 0.1

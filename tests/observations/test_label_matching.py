@@ -36,7 +36,7 @@ def test_points_of_a_leg_hold_that_leg():
             (regions.of_vertex[index][pairs] == regions.of_vertex[vertices]).float().mean()
         )
 
-    labels = PointLabels.known(body, vertices, present)
+    labels = PointLabels.of_vertices(body, vertices, present)
     assert right(cloud) < 0.6
     assert right(cloud.replace(labels=labels)) > 0.75
     away = labels.replace(on_body=torch.zeros_like(labels.on_body))

@@ -69,7 +69,7 @@ def test_a_body_is_found_in_any_tilt(turn):
     eye = motion.translation.mean(0) + torch.tensor([0.5, -3.0, 0.5])
     points, vertices = seen(motion, body, eye)
     present = torch.ones_like(vertices, dtype=torch.bool)
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     found = labelled_start(
         body, points, present, labels, eye.expand(FRAMES, 3), fps=30.0, start_time=0.0
     )
@@ -85,7 +85,7 @@ def test_moments_that_are_read_the_wrong_way_are_turned_by_their_neighbours(sign
     eye = motion.translation.mean(0) + torch.tensor([0.5, -3.0, 0.5]) if sensor else None
     points, vertices = seen(motion, body, eye)
     present = torch.ones_like(vertices, dtype=torch.bool)
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     wrong = torch.zeros_like(present)
     wrong[3:6] = True  # moments 0, 3, 6, ... are posed
     wrong[:, ::5] ^= True
@@ -100,12 +100,12 @@ def test_empty_moments_lie_between_their_neighbours():
     points, vertices = seen(motion, body, None)
     present = torch.ones_like(vertices, dtype=torch.bool)
     present[4:8] = False
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     clock = {"fps": 30.0, "start_time": 0.0}
     found = labelled_start(body, points, present, labels, None, **clock)
     assert errors(found, motion, body).mean() < 0.07
     present[:] = False
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     nothing = labelled_start(body, points, present, labels, None, **clock)
     assert nothing.translation.isfinite().all()
 
@@ -115,7 +115,7 @@ def test_a_cloud_with_labels_begins_with_them():
     motion, body = lying((1.6, 0.0, 0.0)), bundled()
     points, vertices = seen(motion, body, None)
     present = torch.ones_like(vertices, dtype=torch.bool)
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     cloud = PointCloud(points[None], present[None], Surfels.of(body, 500), 30.0,
                        labels=labels.map(lambda one: one[None]))  # fmt: skip
     guess = first_guess([cloud], body)
@@ -137,7 +137,7 @@ def test_labels_of_a_moving_sensor_and_of_several_clips():
     motion, body = lying((0.0, 0.0, 0.0)), bundled()
     points, vertices = seen(motion, body, None)
     present = torch.ones_like(vertices, dtype=torch.bool)
-    labels = PointLabels.known(body, vertices, present, 0.03)
+    labels = PointLabels.of_vertices(body, vertices, present, 0.03)
     two = labels.map(lambda one: torch.stack((one, one)))
     view = depth_camera().placed(
         motion.translation.mean(0) + torch.tensor([0.0, 3.0, 0.5]), motion.translation.mean(0)

@@ -31,7 +31,7 @@ def looked(monkeypatch):
     def look(points, present, fps, eyes, *, level):
         asked.append((points.shape, eyes is not None, level))
         none = torch.full(present.shape, -1)
-        return PointLabels.known(bundled(), none, present)
+        return PointLabels.of_vertices(bundled(), none, present)
 
     monkeypatch.setattr(depth, "_bundled_labeller", lambda: look)
     return asked
@@ -61,8 +61,8 @@ def test_a_cloud_beside_keypoints_is_looked_at(looked):
 def test_labels_that_are_given_stay_and_points_with_names_need_none(looked):
     """Joints in space tell the first guess better than labels of points do."""
     one = cloud()
-    given = one.replace(labels=PointLabels.known(bundled(), torch.zeros_like(one.present).long(),
-                                                 one.present))  # fmt: skip
+    vertices = torch.zeros_like(one.present).long()
+    given = one.replace(labels=PointLabels.of_vertices(bundled(), vertices, one.present))
     assert with_labelled_clouds([given]) == (given,)
     places = bundled().pose(walk(3)[None]).joints
     seen = Joints3D(places, torch.ones_like(places[..., 0]).bool(), tuple(range(22)), 30.0)

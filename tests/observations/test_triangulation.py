@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from observations.camera_paths import triangulate, views_start
+from observations.camera_paths import guess_from_views, triangulate
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
 pytestmark = pytest.mark.numerics
@@ -77,7 +77,7 @@ def test_other_clocks_are_refused():
 
 def test_several_views_start_where_the_person_is():
     truth, views, _ = three(noise=3.0)
-    start = views_start(bundled(), views)
+    start = guess_from_views(bundled(), views)
     assert start.frames == truth.frames
     assert joint_error(start, truth) < 0.25  # metres; the rest pose has its arms out
     pelvis = bundled().pose(start).joints[..., 0, :] - bundled().pose(truth).joints[..., 0, :]
@@ -87,5 +87,5 @@ def test_several_views_start_where_the_person_is():
 def test_views_of_nobody_start_somewhere_finite():
     _, views, _ = three()
     blind = [v.replace(confidence=v.confidence * 0) for v in views]
-    start = views_start(bundled(), blind)
+    start = guess_from_views(bundled(), blind)
     assert all(tensor.isfinite().all() for tensor in start.tensors().values())

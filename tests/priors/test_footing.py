@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from priors.humor.generation import FootingSettings, roll_from
+from priors.humor.generation import FootingSettings, roll_out_from
 from priors.humor.state import State, states_of
 from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.model import BodyModel
@@ -49,7 +49,7 @@ def test_bodies_come_nearer_to_the_ground_but_fly_where_they_fly(stands) -> None
     footing = FootingSettings(raised=0.2, lowered=0.1)
 
     def height(after: State, before: State) -> float:
-        return float(footing.lowered_towards_ground(before, after, touching).translation[0, 2])
+        return float(footing.moved_towards_ground(before, after, touching).translation[0, 2])
 
     level = float(state.translation[0, 2])
     high, low = lifted(state, 0.12), lifted(state, -0.06)
@@ -69,7 +69,7 @@ def test_the_ground_holds_what_networks_let_sink(body: BodyModel) -> None:
     random = torch.Generator().manual_seed(0)
     lowest = []
     for footing in (None, FootingSettings()):
-        made = roll_from(prior, sunk, motion.shape, 30, random, footing=footing)
+        made = roll_out_from(prior, sunk, motion.shape, 30, random, footing=footing)
         assert made.joints is not None
         lowest.append(float((made.joints[0, -1, FEET, 2] - touching[0]).amin()))
     assert lowest[0] == pytest.approx(-0.3, abs=0.02)

@@ -70,7 +70,7 @@ def test_it_is_exact_where_nothing_turns() -> None:
     still = torch.zeros_like(added).requires_grad_()
     turns = roll_out_with_biases(decoder, start, still).turns
     (found,) = torch.autograd.grad(turns[0, 0, 5, 1, 2], still)
-    spin = found[0, 0, decoder.given.shape[1] - 216 + 139 :][15:18]
+    spin = found[0, 0, decoder.of_constants.shape[1] - 216 + 139 :][15:18]
     # R' = Exp(2 h) R, so at h = 0 the derivative by h_k is 2 hat(e_k) R
     rotation = start[0, 139:].view(22, 3, 3)[5]
     expected = 2 * (so3.hat(torch.eye(3, dtype=torch.float64)) @ rotation)[:, 1, 2]

@@ -9,7 +9,7 @@ from priors.humor import generation
 from priors.humor.generation import (
     body_at_joints,
     predict,
-    roll_from,
+    roll_out_from,
     sample,
 )
 from priors.humor.mixture import Mixture
@@ -41,7 +41,7 @@ def test_steps_as_predicted_are_those_of_the_roll_out(
     prior = humor(body)
     state, shape = states_of(motions(), body)[:, 0], motions().shape
     monkeypatch.setattr(generation, "body_at_joints", as_predicted)
-    found = roll_from(prior, state, shape, 5, None, footing=None)
+    found = roll_out_from(prior, state, shape, 5, None, footing=None)
     pelvis, frame = prior.pelvis(shape), Frame.of(state)
     start = frame.to_frame(state, pelvis).pack()
     decoder = FrozenDecoder.of(prior.networks.decoder)
@@ -61,7 +61,7 @@ def test_steps_as_predicted_are_those_of_the_roll_out(
     torch.testing.assert_close(said, rollout.contacts.sigmoid())
     assert torch.equal(found.contacts[:, 0], found.contacts[:, 1])
     with pytest.raises(ValueError, match="two frames"):
-        roll_from(prior, state, shape, 1, None)
+        roll_out_from(prior, state, shape, 1, None)
 
 
 def test_the_body_is_moved_so_that_joints_agree_on_average(body: BodyModel) -> None:
@@ -74,7 +74,7 @@ def test_the_body_is_moved_so_that_joints_agree_on_average(body: BodyModel) -> N
     moved = body_at_joints(predicted, rest)
     torch.testing.assert_close(moved.translation, state.translation + up / 22)
     torch.testing.assert_close(moved.joints, state.joints + up / 22)
-    motion = roll_from(humor(body), state, shape, 5, None)
+    motion = roll_out_from(humor(body), state, shape, 5, None)
     assert motion.joints is not None
     torch.testing.assert_close(body.pose(motion.motion).joints, motion.joints)
 
@@ -91,7 +91,7 @@ def test_latents_have_the_priors_spread(body: BodyModel, monkeypatch: pytest.Mon
     shape = motions().shape[:1].expand(4000, -1)
     random = torch.Generator().manual_seed(0)
     monkeypatch.setattr(generation, "body_at_joints", as_predicted)
-    made = roll_from(prior, many, shape, 2, random, footing=None).motion
+    made = roll_out_from(prior, many, shape, 2, random, footing=None).motion
     step = made.translation[:, 1, 2] - made.translation[:, 0, 2]
     expected = (0.5 * log_variance[0, 0]).exp()
     torch.testing.assert_close(step.std(), expected, rtol=0.05, atol=0)  # 4000 draws: 1 %

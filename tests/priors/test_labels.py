@@ -32,7 +32,7 @@ def test_regions_lie_where_their_names_say(body):
 def test_known_labels_are_those_of_their_vertices(body):
     vertices = torch.tensor([[[0, 4000, -1, 17]]])
     present = torch.tensor([[[True, True, True, False]]])
-    labels = PointLabels.known(body, vertices, present, std=0.02)
+    labels = PointLabels.of_vertices(body, vertices, present, std=0.02)
     regions = Regions.of(body)
     assert labels.region.tolist() == [
         [
