@@ -103,7 +103,7 @@ def shapes_of_subjects(
     checksum: str,
     run: Run = run_jobs,
 ) -> dict[str, Shape]:
-    """Estimate one body shape per subject from all clips of it; keyed by clip id.
+    """Estimate one body shape per subject from all its clips; return it for each of their ids.
 
     Each clip of a subject is fitted by the pose prior; the median of their coefficients is the
     subject's shape. Clips that cannot be fitted tell nothing; their own fit says why. What was

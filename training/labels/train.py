@@ -76,7 +76,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         }
         super().__init__(settings)
 
-    def untrained(self, state: Mapping[str, Any] | None) -> LabelNetwork:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> LabelNetwork:
         """Make a network with random weights."""
         del state
         return LabelNetwork()
@@ -209,7 +209,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
 def _point_losses(
     raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The loss of every point by region and by place; zero off the body."""
+    """Losses of the region and of the place of every point; zero for points off the body."""
     found = cross_entropy(
         raw.regions.mT, regions, ignore_index=-1, reduction="none", label_smoothing=0.01
     )
