@@ -182,9 +182,9 @@ def write_usable_seconds(out: Path, body: BodyModel, splits: Path = SPLITS) -> l
     """
     parts, rows = Splits.load(splits), list[ManifestRow]()
     for name, path in clip_files(out).items():
-        told = conversion_notes(path)
-        collection = str(told.get("collection", path.parent.name))
-        source = source_of(name, collection, parts.subject(name), told)
+        notes = conversion_notes(path)
+        collection = str(notes.get("collection", path.parent.name))
+        source = source_of(name, collection, parts.subject(name), notes)
         rows += lesson_rows(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes_by_part(rows, parts)
