@@ -31,7 +31,7 @@ from recon.body.marker_labels import match_markers
 from recon.ingest.marker_conversion import convert_markers
 from recon.mocap.c3d import read_c3d
 from recon.mocap.recording import MarkerRecording
-from training.sources import read_packed
+from training.sources import read_packed_markers
 
 LIST = Path(__file__).with_suffix(".toml")
 GAPS, GHOSTS, LONGEST_S, AROUND_M, EXCHANGES = 0.05, 0.05, 0.5, 0.3, 8
@@ -112,7 +112,7 @@ def exchanges(true: MarkerRecording, random: np.random.Generator) -> tuple[float
 
 def markers_of(path: Path, seconds: list[float] | None) -> MarkerRecording:
     """Read markers of known labels, one of each place on the body, in some seconds."""
-    read = read_packed(path) if path.name.endswith(".i4.xz") else read_c3d(path)
+    read = read_packed_markers(path) if path.name.endswith(".i4.xz") else read_c3d(path)
     names = [read.marker_names[k] for k in np.flatnonzero(read.visible.any(0))]
     places = {place: name for name, place in reversed(match_markers(names)[0].items())}
     part = read.select([name for name in names if name in places.values()])

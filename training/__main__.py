@@ -26,7 +26,7 @@ _AT_ONCE = {
 """Settings of priors whose fit has a closed form; beside them is `export_weights`."""
 
 
-def _is_former(folder: Path) -> bool:
+def _is_former_run(folder: Path) -> bool:
     """Whether a folder has a checkpoint, or the log of a run that ended before its first one."""
     return (folder / "checkpoint.pt").is_file() or (folder / "train.log").is_file()
 
@@ -35,7 +35,7 @@ def _outputs_of_run(out: Path, given: Arguments) -> tuple[Output, ...]:
     """Outputs: the weights, and the log or the folder of the run, which can be resumed."""
     if given["prior"] in _AT_ONCE:
         return Output(out), Output(out.with_suffix(".log"))
-    run = Output(out.with_suffix(""), OutputKind.CONTINUED, is_former=_is_former)
+    run = Output(out.with_suffix(""), OutputKind.CONTINUED, is_former=_is_former_run)
     return Output(out), run
 
 

@@ -31,16 +31,16 @@ from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
 from training.lessons import Source, lesson_rows
-from training.manifest import ManifestRow, minutes, write_manifest
+from training.manifest import ManifestRow, minutes_by_part, write_manifest
 from training.sources import (
+    CMU_WINDOWS,
     HUMANOID,
     HUMANOID_MAP,
-    WINDOWS,
     clips_of_shared_skeleton,
     marker_clips,
+    read_cmu_windows,
     read_humanoid,
     read_markers,
-    read_windows,
     skeleton_clips,
 )
 
@@ -77,22 +77,22 @@ def convert(
     """
     body = BodyModel.load()
     skeletons, markers = skeleton_clips(data), marker_clips(data)
-    copied = {name: clips_of_shared_skeleton(data, name) for name in (HUMANOID, WINDOWS)}
+    copied = {name: clips_of_shared_skeleton(data, name) for name in (HUMANOID, CMU_WINDOWS)}
     known = {clips[0].collection for clips in skeletons if clips} | copied.keys()
     known |= {clip.collection for clip in markers}
     if wrong := sorted(set(only) - known):
         raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
     asked = set(only) or known
     out.mkdir(parents=True, exist_ok=True)
-    convert_others([c for c in markers if c.collection in asked], out, body, _converted_markers)
+    convert_changed([c for c in markers if c.collection in asked], out, body, _converted_markers)
     for name in asked & copied.keys():
-        convert_others(copied[name], out, body, _converter_of_skeleton(copied[name], body))
+        convert_changed(copied[name], out, body, _converter_of_skeleton(copied[name], body))
     if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
         convert_clips(chosen, out, processes=processes)
-    judge(out, body)
+    write_usable_seconds(out, body)
 
 
-def convert_others(
+def convert_changed(
     clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
@@ -144,8 +144,8 @@ def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Mak
 
     @cache
     def read_and_calibrate() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
-        if clips[0].collection == WINDOWS:
-            every = read_windows(clips)
+        if clips[0].collection == CMU_WINDOWS:
+            every = read_cmu_windows(clips)
             skeleton = recognise(next(iter(every.values())))
         else:
             every = {clip.name: read_humanoid(clip.path) for clip in clips}
@@ -169,7 +169,7 @@ def _residuals_by_second(found: Conversion) -> list[float]:
     ]
 
 
-def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[ManifestRow]:
+def write_usable_seconds(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[ManifestRow]:
     """Write which seconds of a corpus trainings may use, and the minutes of each part.
 
     Args:
@@ -182,12 +182,12 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[ManifestRow
     """
     parts, rows = Splits.load(splits), list[ManifestRow]()
     for name, path in clip_files(out).items():
-        told = conversion_notes(path)
-        collection = str(told.get("collection", path.parent.name))
-        source = source_of(name, collection, parts.subject(name), told)
+        notes = conversion_notes(path)
+        collection = str(notes.get("collection", path.parent.name))
+        source = source_of(name, collection, parts.subject(name), notes)
         rows += lesson_rows(load_motion(path), source, body)
     write_manifest(rows, out)
-    table = minutes(rows, parts)
+    table = minutes_by_part(rows, parts)
     write_rows(out / "minutes.csv", table)
     for row in table:
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in row.items()))

@@ -1,4 +1,4 @@
-"""Decides what each second of a recording may teach: poses, steps, contacts, shapes.
+"""Decides what may be learned from each second: poses, steps, contacts, shapes.
 
 A second is judged by what its motion shows: whether the foot that carries stands still, whether a
 joint jumps, whether feet rest on something that is not the ground, whether bodies fall as gravity
@@ -73,7 +73,7 @@ class Source:
 
 
 def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[ManifestRow]:
-    """Split a clip into stretches of whole seconds by what each may teach.
+    """Split a clip into stretches of whole seconds by what may be learned from each.
 
     Args:
         file: the converted clip, on the ground z = 0.
@@ -117,7 +117,7 @@ def _row_of_stretch(first: int, stop: int, why: tuple[str, ...], source: Source)
 def _reasons_by_second(
     file: MotionFile, source: Source, body: BodyModel, edges: list[int]
 ) -> list[tuple[str, ...]]:
-    """Reasons against training on each second, as words of `_SPOILS`."""
+    """Faults of each second that exclude it from trainings, as keys of `_SPOILS`."""
     motion = file.motion
     step = max(1, round(motion.fps / _RATE))
     movement = Movement.of(_every_nth_frame(motion, step), body)

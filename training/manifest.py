@@ -85,7 +85,7 @@ def _parsed_row(row: Mapping[str, Any]) -> ManifestRow:
 def stretches_to_teach(
     path: Path, rows: Sequence[ManifestRow] | None, lesson: Lesson, with_contacts: bool = True
 ) -> list[MotionFile]:
-    """Load the stretches of a clip that may teach a lesson, with contacts where reliable.
+    """Load a clip's stretches that are fit for learning `lesson`, with contacts if reliable.
 
     Args:
         path: of the motion.
@@ -117,8 +117,8 @@ def _cut_frames(file: MotionFile, first: int, stop: int, contacts: bool) -> Moti
     )
 
 
-def minutes(rows: Sequence[ManifestRow], splits: Splits) -> list[dict[str, str | float]]:
-    """Minutes and people of every collection and part, and minutes that teach each lesson.
+def minutes_by_part(rows: Sequence[ManifestRow], splits: Splits) -> list[dict[str, str | float]]:
+    """Minutes and people of every collection and part, and minutes fit for each lesson.
 
     Clips in no part have the part "none".
     """

@@ -120,14 +120,14 @@ class Run(Generic[S, N]):
         state = read_state(path)
         if state is not None:
             refuse_other_run(path, self.identity, state.get("identity"))
-        self.networks = self.untrained(state)
+        self.networks = self.untrained_networks(state)
         self.averaged = deepcopy(self.networks).requires_grad_(False).eval()
         """The average of the networks' weights over time, which is the result of the run."""
         self.optimiser = self.optimiser_of(self.networks)
         if state is not None:
             self.resume(state)
 
-    def untrained(self, state: Mapping[str, Any] | None) -> N:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> N:
         """Make the networks as before the first step; a checkpoint's weights are loaded later."""
         raise NotImplementedError
 

@@ -46,7 +46,7 @@ class CorpusSettings:
     def stretches_that_teach(
         self, part: Part, lesson: Lesson, with_contacts: bool = True
     ) -> Iterator[tuple[str, Path, MotionFile]]:
-        """Iterate over the clips of one part that may teach a lesson: name, file, stretch.
+        """Yield name, file and stretch of one part's motions that are fit for learning `lesson`.
 
         Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
         slopes, where heights mean nothing.
@@ -166,7 +166,7 @@ def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | No
 
 
 def _same_setting(here: Any, there: Any) -> bool:
-    """Whether a setting is the same; a zero part counts as a missing one.
+    """Whether two runs agree in a setting; in a table, a missing entry counts as zero.
 
     Parts that are added to a group of settings, such as a new variation, are zero where nothing
     changes, and checkpoints from before them hold the same run.

@@ -41,7 +41,7 @@ _COMMON = {"cmu_daz", "cmu_windows", "cmu_deepmimic"}
 """Later collections on a common skeleton; what their root does does not fit its legs."""
 _LIST = Path(__file__).with_name("free_recordings.toml")
 """Marker recordings of single people that are learned from."""
-MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
+MARKERS, HUMANOID, CMU_WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 
 
 def skeleton_clips(data: Path) -> list[list[SourceClip]]:
@@ -55,7 +55,7 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
         ValueError: when a manifest is damaged.
     """
     folders = sorted(manifest.parent for manifest in (data / MORE).glob("*/manifest.csv"))
-    more = [_clips_of_manifest(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
+    more = [_clips_of_manifest(one) for one in folders if one.name not in (HUMANOID, CMU_WINDOWS)]
     return [*clips_by_collection(data / FIRST), *more]
 
 
@@ -97,7 +97,7 @@ def read_markers(clip: SourceClip) -> MarkerRecording:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged.
     """
-    return read_packed(clip.path) if clip.collection == MARKERS else read_c3d(clip.path)
+    return read_packed_markers(clip.path) if clip.collection == MARKERS else read_c3d(clip.path)
 
 
 _PLUG_IN_GAIT = (
@@ -111,7 +111,7 @@ FASTEST_MARKER = 15.0
 """Metres per second: a marker that is faster has got the label of another."""
 
 
-def read_packed(path: Path) -> MarkerRecording:
+def read_packed_markers(path: Path) -> MarkerRecording:
     """Markers of a UI-PRMD clip: int32 hundredths of a millimetre, differences along time.
 
     Markers at the origin are missing. Where a marker jumps, it is taken as not seen on both sides.
@@ -149,7 +149,7 @@ _STOOPS = 12.5
 """Degrees from it beyond which a person's mean is mended; collars of these ten are within 10."""
 
 
-def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
+def read_cmu_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
     """Read recordings in which all people have CMU's skeleton of 31 joints; by clip name.
 
     Angles of one skeleton on another turn every bone by what the rest poses differ in, so that
@@ -272,17 +272,17 @@ def read_humanoid(path: Path) -> SkeletonRecording:
         table = json.loads(decoded_text(read_bytes(path)))
         frames = np.array(table["Frames"], dtype=float)
         if frames.ndim != 2 or frames.shape[1] != 44 or not np.isfinite(frames).all():
-            raise ValueError(f"got frames {frames.shape}, or NaN or infinity in them")
+            raise ValueError(f"its frames have shape {frames.shape}, or NaN or infinity in them")
         turns = _joint_rotations(frames)
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{path}: expected frames of 44 numbers (DeepMimic): {error}") from error
+        raise FormatError(f"{path}: expected frames of 44 numbers, but {error}") from error
     names = tuple(_TREE)
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in _TREE.values())
     offsets = np.array([place for _, place in _TREE.values()])
     for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
         raised = _arm_lowering(name)
-        # A lowers the arms of a T-pose (identity for other bones): a rotation R from the parent
-        # becomes A_parentᵀ R A
+        # `_arm_lowering` is A (identity except for arms); in the new rest pose, the rotation R of
+        # a joint relative to its parent becomes A_parentᵀ R A
         before = _arm_lowering(names[parent]) if parent >= 0 else np.eye(3)
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]

@@ -90,8 +90,8 @@ def estimate_shape(job: FitJob) -> Record:
     key = clip_checksum(job.clip.observations, job.settings_checksum)
     if job.known.get("key") == key:
         return job.known
-    first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
-    shape = fit(list(job.clip.observations), **first.arguments()).motion.shape
+    quick = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
+    shape = fit(list(job.clip.observations), **quick.arguments()).motion.shape
     return {"id": job.clip.name, "key": key, "shape": shape.tolist()}
 
 
@@ -103,7 +103,7 @@ def shapes_of_subjects(
     checksum: str,
     run: Run = run_jobs,
 ) -> dict[str, Shape]:
-    """Estimate one body shape per subject from all clips of it; keyed by clip id.
+    """Estimate one body shape per subject from all its clips; return it for each of their ids.
 
     Each clip of a subject is fitted by the pose prior; the median of their coefficients is the
     subject's shape. Clips that cannot be fitted tell nothing; their own fit says why. What was
@@ -120,8 +120,8 @@ def shapes_of_subjects(
     Raises:
         ValueError: when the prior completes cycles, which have shapes of their own.
     """
-    known = [clip for clip in clips if clip.subject is not None]
-    if not known:
+    named = [clip for clip in clips if clip.subject is not None]
+    if not named:
         return {}
     if prior_trait(settings.prior, "completes"):
         raise ValueError(
@@ -129,11 +129,11 @@ def shapes_of_subjects(
             "cycle; leave `subject` out of the manifest, or fit with another prior"
         )
     found: dict[str, list[torch.Tensor]] = {}
-    names = {clip.name: str(clip.subject) for clip in known}
+    names = {clip.name: str(clip.subject) for clip in named}
     with open_log(log.with_name(f"shapes-{log.name}")) as lines:
         jobs = (
             (FitJob(clip, log, settings, checksum, lines.records.get(clip.name, {})),)
-            for clip in large_first(known)
+            for clip in large_first(named)
         )
         for _, record in run(estimate_shape, jobs, processes):
             if not isinstance(record, Failure):

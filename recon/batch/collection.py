@@ -61,7 +61,7 @@ class SourceClip:
         return not any(word in self.action.lower() for word in _UNEVEN)
 
     @property
-    def sure_contacts(self) -> bool:
+    def reliable_contacts(self) -> bool:
         """Whether foot contacts are reliable, which they are not on a skeleton that all share.
 
         They are not where motions were copied to another skeleton.

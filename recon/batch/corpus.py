@@ -157,14 +157,14 @@ class _Conversion:
         """Calibrate every group's skeleton, then convert and log the group's waiting clips."""
         tasks: dict[str, Task] = {}
         jobs = [(group.calibrated_from, self.body) for group in waiting]
-        for (some, _), subject in run_jobs(self.calibrate, jobs, self.processes):
-            group = next(one for one in waiting if one.calibrated_from == some)
+        for (clips, _), subject in run_jobs(self.calibrate, jobs, self.processes):
+            group = next(group for group in waiting if group.calibrated_from == clips)
             found = (
-                self._calibrated_without_bad_clips(some)
+                self._calibrate_without_bad_clips(clips)
                 if isinstance(subject, Failure)
                 else subject
             )
-            for clip, key in group.left:
+            for clip, key in group.to_convert:
                 if isinstance(found, SubjectModel):
                     tasks[clip.id] = self._task_of(clip, key, checksums[clip.id], found)
                 elif isinstance(found, str):
@@ -174,19 +174,19 @@ class _Conversion:
                 else:
                     reason = f"the shape of its subject could not be found: {found.reason}"
                     self._log_failure(clip, replace(found, reason=reason))
-        clips = [task.clip for task in tasks.values()]
-        work = ((tasks[content.clip.id], content) for content in contents_of_clips(clips))
+        calibrated = [task.clip for task in tasks.values()]
+        work = ((tasks[content.clip.id], content) for content in contents_of_clips(calibrated))
         for (task, _), found in run_jobs(convert_task, work, self.processes):
             if isinstance(found, Failure):
                 self._log_failure(task.clip, found)
             else:
                 self._log_result(task.clip, found, task.key)
 
-    def _calibrated_without_bad_clips(
-        self, some: list[SourceClip]
+    def _calibrate_without_bad_clips(
+        self, every: list[SourceClip]
     ) -> SubjectModel | str | Failure:
         """Calibrate without the clips that make a calibration fail, found by bisection."""
-        good, suspected = list[SourceClip](), [some]
+        good, suspected = list[SourceClip](), [every]
         result: SubjectModel | str | Failure = Failure(
             "error", "the calibration fails with every clip of the subject"
         )
@@ -202,7 +202,7 @@ class _Conversion:
                 else:
                     result = found
         # clips keep their given order, since a calibration depends on it
-        kept = [clip for clip in some if clip in good]
+        kept = [clip for clip in every if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):
                 result = found
@@ -216,8 +216,8 @@ class _Conversion:
         subject = value_checksum([checksums[clip.id] for clip in calibration_clips])
         left: list[tuple[SourceClip, str]] = []
         for clip in group:
-            notes = [clip.id, clip.subject, clip.action, clip.on_flat_ground, clip.sure_contacts]
-            key = value_checksum([self.settings, subject, checksums[clip.id], notes])
+            notes = [clip.subject, clip.action, clip.on_flat_ground, clip.reliable_contacts]
+            key = value_checksum([self.settings, subject, checksums[clip.id], [clip.id, *notes]])
             known = self.log.records.get(clip.id, {})
             if known.get("key") == key and self._is_unchanged(clip, known):
                 self.ended[clip.id] = known
@@ -306,7 +306,7 @@ class _WaitingClips:
 
     calibrated_from: list[SourceClip]
     """Clips from which the skeleton is calibrated."""
-    left: list[tuple[SourceClip, str]]
+    to_convert: list[tuple[SourceClip, str]]
 
 
 def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:

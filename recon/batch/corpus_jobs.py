@@ -107,7 +107,7 @@ def calibrate_group(
     """
     recordings: list[SkeletonRecording] = []
     for content in contents_of_clips(clips):
-        # a file that has changed since the survey is refused when it is converted
+        # a clip that can no longer be read is left out here; its conversion reports the error
         with contextlib.suppress(ValueError):
             pieces, _ = split_at_jumps(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
@@ -155,7 +155,7 @@ def convert_task(task: Task, content: ClipContent) -> Record:
             "kept": True,
             **conversion.report,
             "flat": clip.on_flat_ground,
-            "contacts": clip.sure_contacts,
+            "contacts": clip.reliable_contacts,
             "skeleton": task.subject.skeleton.name,
             "cut": piece.cut,
             "reason": " ".join(turned.decisions[len(recording.decisions) :]),

@@ -112,7 +112,7 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
 
 
 def clips_of_shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
-    """Return the clips of part `index` of `count`, as several runs share a manifest.
+    """Return the clips of part `index` when `count` runs share the clips of a manifest.
 
     A hash of the clip's id or subject decides, so parts are always the same.
     """
@@ -207,7 +207,7 @@ def _without_time(record: Record) -> Record:
 
 
 def _lock_file(descriptor: int, path: Path) -> None:
-    """Lock an open file against other processes; an error says that another one holds it."""
+    """Lock an open file against other processes; fail if another process has locked it."""
     if sys.platform == "win32":
         return
     import fcntl

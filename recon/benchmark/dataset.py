@@ -50,7 +50,7 @@ class Splits:
         """
         path = Path(path)
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: no splits there; expected a file like {SPLITS}")
+            raise FileNotFoundError(f"{path}: no such file; expected one like {SPLITS}")
         try:
             table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
             return cls(

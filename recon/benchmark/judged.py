@@ -166,8 +166,8 @@ def _evaluated_windows(
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):
         return rows, None
-    said = torch.stack([one[slice(*protocol.judged)].double() for one in contacts]) > 0.5
-    return rows, feet_balanced_accuracy(windows.frames(*protocol.judged), said)
+    predicted = torch.stack([one[slice(*protocol.judged)].double() for one in contacts]) > 0.5
+    return rows, feet_balanced_accuracy(windows.frames(*protocol.judged), predicted)
 
 
 def _as_path(given: Path | str | None) -> Path | None:

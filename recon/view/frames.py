@@ -71,7 +71,7 @@ def write_png(
 
 
 def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
-    """Write an H.264 film, one picture per frame at the show's frame rate.
+    """Write an H.264 film, one picture per frame at the scene's frame rate.
 
     Each picture has the scene and, beside it, what every camera sees, above one legend.
 

@@ -129,9 +129,9 @@ def _describe_project(project: Project) -> dict[str, Any]:
     """Describe the files of a project and its settings."""
     seen = project.detections or project.points
     inside = info(seen) if seen is not None else {"format": "nothing that can be fitted"}
-    own = {"fps": project.fps or inside.get("fps"), "frame_range": project.frames}
-    said = [*project.decisions, *inside.get("decisions", ())]
-    return {**inside, **own, "decisions": said}
+    of_project = {"fps": project.fps or inside.get("fps"), "frame_range": project.frames}
+    decisions = [*project.decisions, *inside.get("decisions", ())]
+    return {**inside, **of_project, "decisions": decisions}
 
 
 def _describe_motion(path: Path) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def draw_dots(
 
 
 def fixed_point(places: Float[np.ndarray, "*n 2"]) -> np.ndarray:
-    """Convert pixel positions to OpenCV's fixed-point numbers, with the first centre at 0."""
+    """Convert pixels to OpenCV's fixed-point numbers, where the first pixel's centre is at 0."""
     return np.round((places - 0.5) * 2**FRACTION_BITS).astype(np.int32)
 
 

@@ -46,7 +46,7 @@ def write_sheet(path: str | Path, show: Show) -> None:
 
 
 def write_overlay(path: str | Path, show: Show) -> None:
-    """Write an H.264 film at the show's frame rate: every camera's film with the body over it.
+    """Write an H.264 film at the scene's frame rate: every camera's film with the body over it.
 
     Args:
         path: file to write.

@@ -295,11 +295,11 @@ class Show:
         for what, shown in (("figures", self.figures), ("cameras", self.cameras)):
             names = [one.name for one in shown]
             if len(set(names)) != len(names):
-                raise ValueError(f"{what} of one show need different names, got {names}")
+                raise ValueError(f"{what} of one scene need different names, got {names}")
         rates = {figure.motion.fps for figure in self.figures}
         if len(rates) != 1:
             raise ValueError(
-                f"figures of one show need the same frame rate, got {rates}; resample them"
+                f"figures of one scene need the same frame rate, got {rates}; resample them"
             )
         counts = {figure.name: figure.motion.frames for figure in self.figures}
         if self.points is not None:
@@ -308,7 +308,7 @@ class Show:
             counts["cloud"] = len(self.cloud)
         counts |= {view.name: view.frames for view in self.cameras if view.frames is not None}
         if len(set(counts.values())) != 1:
-            raise ValueError(f"all parts of a show need the same number of frames, got {counts}")
+            raise ValueError(f"parts of a scene need the same number of frames, got {counts}")
 
     @property
     def frames(self) -> int:

@@ -146,7 +146,7 @@ def _focal_length(size: tuple[int, int]) -> float:
 def _distance_needed(
     local: Float[np.ndarray, "*shape 3"], size: tuple[int, int]
 ) -> Float[np.ndarray, "*shape"]:
-    """Return distances from the target at which points are in `MARGIN` of the picture, metres.
+    """Return how far from the target a camera must be to show points within `MARGIN`, metres.
 
     The points are given from the target along the camera's axes.
     """

@@ -258,8 +258,8 @@ def test_collections_read_manifests(recording: SkeletonRecording, tmp_path: Path
         "a.bvh,7,walk on uneven terrain,one common skeleton\nb.bvh,8,walk,\nc.bvh,8,walk,\n"
     )
     ((a, b, c),) = clips_by_collection(tmp_path)
-    assert (a.subject, a.on_flat_ground, a.sure_contacts) == ("7", False, False)
-    assert (b.on_flat_ground, b.sure_contacts) == (True, True)
+    assert (a.subject, a.on_flat_ground, a.reliable_contacts) == ("7", False, False)
+    assert (b.on_flat_ground, b.reliable_contacts) == (True, True)
     found = {content.clip.name: content for content in contents_of_clips([a, b, c])}
     assert skeleton_key(found["a"].read()).startswith("pelvis,")
     with pytest.raises(ValueError, match="no line MOTION"):

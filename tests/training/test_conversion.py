@@ -11,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.diagnosis.findings import Finding
 from recon.ingest.conversion import Conversion
 from tests.standing_body import path, standing, times
-from training.conversion import convert_others, judge, source_of
+from training.conversion import convert_changed, source_of, write_usable_seconds
 from training.manifest import read_manifest
 
 BODY = BodyModel.load()
@@ -51,13 +51,13 @@ def test_clips_are_made_once_and_anew_when_their_recording_changes(tmp_path: Pat
         return found(), True
 
     for _ in range(2):
-        convert_others([clip], tmp_path, BODY, maker)
+        convert_changed([clip], tmp_path, BODY, maker)
     assert len(made) == 1
     recording.write_text("second")
-    convert_others([clip], tmp_path, BODY, maker)
+    convert_changed([clip], tmp_path, BODY, maker)
     assert len(made) == 2
     (tmp_path / "ui_prmd" / "m01_s01_e01_ok.npz").write_bytes(b"cut")
-    convert_others([clip], tmp_path, BODY, maker)
+    convert_changed([clip], tmp_path, BODY, maker)
     assert len(made) == 3
 
 
@@ -69,14 +69,14 @@ def test_a_recording_that_cannot_be_converted_leaves_the_others(tmp_path: Path) 
             raise ValueError("no markers")
         return found(), True
 
-    convert_others(clips, tmp_path, BODY, maker)
+    convert_changed(clips, tmp_path, BODY, maker)
     assert [path.name for path in (tmp_path / "ui_prmd").glob("*.npz")] == ["good.npz"]
 
 
 def test_what_the_markers_are_unsure_of_is_in_the_manifest_and_the_minutes(tmp_path: Path) -> None:
     clip = SourceClip("ui_prmd", "m01_s08_e01_ok", Path(__file__), None, {"action": "deep squat"})
-    convert_others([clip], tmp_path, BODY, always)
-    judge(tmp_path, BODY)
+    convert_changed([clip], tmp_path, BODY, always)
+    write_usable_seconds(tmp_path, BODY)
     rows = read_manifest(tmp_path)
     assert rows is not None
     assert [(row.first, row.stop, row.poses) for row in rows[clip.name]] == [

@@ -15,7 +15,7 @@ from training.settings import TrainingSettings
 class Weight(Run[TrainingSettings, torch.nn.Linear]):
     """One number that begins as one."""
 
-    def untrained(self, state):
+    def untrained_networks(self, state):
         del state
         networks = torch.nn.Linear(1, 1, bias=False)
         torch.nn.init.ones_(networks.weight)

@@ -13,7 +13,7 @@ from tests.priors.test_pose import swinging
 from training.manifest import (
     MANIFEST,
     ManifestRow,
-    minutes,
+    minutes_by_part,
     read_manifest,
     stretches_to_teach,
     write_manifest,
@@ -98,6 +98,7 @@ def test_a_clip_that_the_manifest_does_not_know_is_told(tmp_path: Path) -> None:
 def test_minutes_are_counted_by_collection_and_part() -> None:
     rows = [*rows_of("02_01"), *rows_of("m01_s08_e01_ok"), *rows_of("HDM_mm_kick")]
     found = {
-        (row["part"], row["people"], row["minutes"]) for row in minutes(rows, Splits.load(SPLITS))
+        (row["part"], row["people"], row["minutes"])
+        for row in minutes_by_part(rows, Splits.load(SPLITS))
     }
     assert found == {("train", 1, 0.07), ("validation", 1, 0.07), ("none", 1, 0.07)}

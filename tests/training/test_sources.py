@@ -13,9 +13,9 @@ from recon.body.model import BodyModel
 from recon.ingest.maps import alignments_from_rest
 from training.sources import (
     HUMANOID_MAP,
+    read_cmu_windows,
     read_humanoid,
-    read_packed,
-    read_windows,
+    read_packed_markers,
 )
 
 
@@ -30,7 +30,7 @@ def test_packed_markers_are_what_was_packed(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     places = 0.5 + random.random((1, 39, 3)) + np.linspace(0, 0.1, 20)[:, None, None]
     places[3:5, 7] = 0.0
-    found = read_packed(packed(tmp_path / "m01_s01_e01_ok.i4.xz", places))
+    found = read_packed_markers(packed(tmp_path / "m01_s01_e01_ok.i4.xz", places))
     assert found.fps == 100.0
     assert found.marker_names[0] == "LFHD"
     seen = found.visible
@@ -42,7 +42,7 @@ def test_a_marker_that_jumps_is_not_seen_on_either_side(tmp_path: Path) -> None:
     """Some clips exchange labels for some frames; what they place there is another marker."""
     places = np.full((10, 39, 3), 0.5) + np.arange(39)[:, None] * 0.01
     places[5:, 2] += 0.3
-    found = read_packed(packed(tmp_path / "a.i4.xz", places))
+    found = read_packed_markers(packed(tmp_path / "a.i4.xz", places))
     assert found.visible[:, 2].tolist() == [True] * 4 + [False] * 2 + [True] * 4
     assert found.visible[:, 3].all()
 
@@ -50,7 +50,7 @@ def test_a_marker_that_jumps_is_not_seen_on_either_side(tmp_path: Path) -> None:
 def test_a_file_of_other_numbers_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.i4.xz").write_bytes(lzma.compress(b"1234" * 40))
     with pytest.raises(ValueError, match="39 packed markers"):
-        read_packed(tmp_path / "a.i4.xz")
+        read_packed_markers(tmp_path / "a.i4.xz")
 
 
 def still(count: int = 2) -> np.ndarray:
@@ -141,7 +141,7 @@ def test_shoulders_drawn_up_by_a_foreign_skeleton_come_down(
     tmp_path: Path, collar: float, left: float
 ) -> None:
     """Collars of CMU 39 and 118 pointed up by 14 degrees more than those of others."""
-    found = read_windows(windows(tmp_path, collar))["39_01_w1"]
+    found = read_cmu_windows(windows(tmp_path, collar))["39_01_w1"]
     shoulder, arm, hand = (found.joint(f"Left{n}") for n in ("Shoulder", "Arm", "ForeArm"))
     bone = found.positions[1, arm] - found.positions[1, shoulder]
     usual = np.degrees(np.arctan2(0.299, 0.951))

@@ -1,1 +1,1 @@
-"""Training of the anchor-frame VAE of gait cycles (Marsot et al. 2022)."""
+"""Training of the prior `anchor` of whole gait cycles (after Marsot et al. 2022)."""

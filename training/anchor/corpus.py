@@ -74,7 +74,7 @@ class CycleCorpus(TensorStruct):
 
     @classmethod
     def load(cls, settings: CorpusSettings, part: Part, body: BodyModel) -> "CycleCorpus":
-        """Load all gait cycles of one part from the stretches that may teach steps.
+        """Load all gait cycles of one part, from the stretches that are fit for learning steps.
 
         Raises:
             ValueError: when there is none.

@@ -117,7 +117,7 @@ class Corpus(TensorStruct):
         body: BodyModel,
         lesson: Lesson = "steps",
     ) -> "Corpus":
-        """Load all stretches of one part of the corpus that may teach a lesson.
+        """Load all stretches of one part of the corpus that are fit for learning `lesson`.
 
         Args:
             settings: of which the corpus, the splits and the licence count.

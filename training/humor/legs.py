@@ -275,9 +275,9 @@ def _contacts_lost(
     gone = at_frames(change).norm(dim=-1) > _TOUCH
     gone = gone | (speeds(moments.seconds, change) > _LEAVING)
     found = torch.zeros(*gone.shape[:2], len(CHANNELS), dtype=torch.bool, device=gone.device)
-    for joints_of, of_it in zip(_SIDES, (~right, right), strict=True):
-        for joint in joints_of[1:]:
-            found[..., CHANNELS[joint]] = gone[..., joint] & of_it[:, None]
+    for joints, is_raised in zip(_SIDES, (~right, right), strict=True):
+        for joint in joints[1:]:
+            found[..., CHANNELS[joint]] = gone[..., joint] & is_raised[:, None]
     return found
 
 

@@ -127,7 +127,7 @@ class ScaledNetworks(nn.Module):
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """Decode state and latent to the raw step; see `HumorNetworks.decode`."""
+        """Decode a latent to the change of a state in one step; see `HumorNetworks.decode`."""
         raw = self.core.decode(self._normalised_state(state), latent)
         return self.raw_mean + self.raw * raw.float()
 

@@ -108,7 +108,7 @@ def half_precision_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
 
 
 def _perturbed_variables(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
-    """Variables with one number changed: each of a frame's numbers, then of the shape's."""
+    """Variables with one number changed: copies for each number of all frames and of the shape."""
     found: list[PoseVariables] = []
     for k in range(SPAN * FRAME):
         steps = base.pose.new_zeros(len(base.pose), SPAN, FRAME)

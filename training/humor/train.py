@@ -89,7 +89,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         self.checked = held_out.to(device=settings.device).all_windows(settings.frames)
         super().__init__(settings)
 
-    def untrained(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
         """Make untrained networks (or load those to start from), scaled by augmented windows."""
         settings = self.settings
         scaling = Scaling.identity()

@@ -155,8 +155,8 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
     third = so3.exp(differ / 3)
     rotations = legs.rotations.clone()
     rotations[:, :, list(UPPER)] = trunks.rotations[:, :, list(UPPER)]
-    # each trunk joint turns by a third of the difference, which has the pelvis's axes; `below`
-    # rotates from the axes of the joint's parent to those of the pelvis
+    # each trunk joint turns by a third of the difference, which is given in the pelvis's axes;
+    # `below` rotates the axes of the next joint's parent to those of the pelvis
     below = torch.eye(3).to(third)
     for joint in TRUNK:
         own = trunks.rotations[:, :, joint]

@@ -51,7 +51,7 @@ class BodyBatch(TensorStruct):
     """Shape of another body, to which the motion is transferred."""
 
     @property
-    def windows(self) -> Bool[Tensor, "windows codes"]:
+    def windows_exist(self) -> Bool[Tensor, "windows codes"]:
         """Mask of windows with at least one valid frame."""
         return existing_windows(self.valid.sum(-1, keepdim=True), self.valid.shape[-1])
 
@@ -82,7 +82,7 @@ class BodyCorpus(TensorStruct):
         body: BodyModel,
         speeds: tuple[float, ...] = (1.0,),
     ) -> "BodyCorpus":
-        """Load all stretches of one part that may teach steps, put on the ground.
+        """Load all stretches of one part that are fit for learning steps, put on the ground.
 
         Args:
             settings: of which the corpus, the splits and the licence count.

@@ -111,7 +111,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         settings = self.settings
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
 
-    def untrained(self, state: Mapping[str, Any] | None) -> WindowNetworks:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> WindowNetworks:
         """Networks initialised by principal directions of windows, or for loading a checkpoint."""
         basis = self._basis() if state is None else LappedBasis(**state["basis"])
         return networks_of(self.settings, basis, self.learned)
@@ -135,7 +135,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         settings, networks, body = self.settings, self.networks.train(), self.learned.body
         frames = settings.frames
         batch = self.learned.draw(settings.clips, frames, settings.variation, self.random)
-        exists = batch.windows
+        exists = batch.windows_exist
         codes = encoded_motions(networks, batch.frames.pack(), batch.shape, exists, self.random)
         same = networks.decode(codes.drawn, batch.shape, exists, frames)
         total = reconstruction_error(same, batch, body) + settings.kl * code_divergence(
@@ -160,7 +160,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
     def errors(self) -> dict[str, float]:
         """Errors on held-out people, also after transfer and back; physics on other bodies."""
         networks, checked, body = self.averaged, self.checked, self.learned.body
-        frames, exists = self.settings.frames, checked.windows
+        frames, exists = self.settings.frames, checked.windows_exist
         codes = encoded_motions(networks, checked.frames.pack(), checked.shape, exists, None)
         same = networks.decode(codes.mean, checked.shape, exists, frames)
         made = networks.decode(codes.mean, checked.other, exists, frames)
@@ -235,7 +235,7 @@ def _density_of_codes(
     codes, variances, before, after = [], [], [], []
     for _ in range(_DENSITY_DRAWS):
         batch = learned.draw(_DENSITY_WINDOWS, settings.frames, _SPREAD, random)
-        exists = batch.windows
+        exists = batch.windows_exist
         found = encoded_motions(networks, batch.frames.pack(), batch.shape, exists, None)
         codes.append(found.mean[exists])
         variances.append(found.log_variance.exp()[exists])
@@ -298,7 +298,7 @@ def fitted_codes(
             torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
             for p in pairs
         )
-        # regression of whitened adjacent frames; singular values below one make it stationary
+        # regression of whitened codes on the previous ones; no singular value may be 1 or more
         left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
         follow = (left * lengths.clamp(max=_MEMORY)) @ right
         rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)

@@ -118,9 +118,9 @@ class CloudCorpus:
         """Return the given windows without augmentation, with at most `rows` points per frame."""
         every = self.clouds
         moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
-        # points are in random order, so a consecutive run is a random sample
         count = every.present[windows[:, None], moments].sum(-1)
         first = torch.zeros_like(count)
+        # points are in random order, so consecutive ones from a random place are a random sample
         if random is not None:
             first = torch.rand(count.shape, generator=random) * (count - rows + 1).clamp(min=0)
             first = first.long()

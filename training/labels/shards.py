@@ -266,7 +266,7 @@ def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> La
 def draw_window(
     source: Source, random: np.random.Generator
 ) -> tuple[list[LabelledPoints], Float[np.ndarray, "3"] | None]:
-    """Sample the points that a sensor sees of a person; its place is None if it sees all sides."""
+    """Sample points of a person; return also the sensor's place, None if it sees all sides."""
     suit = source.bodies[int(random.integers(len(source.bodies)))]
     rotations = source.postures.draw(WINDOW, random)
     rotations[:, 0] = random_orientation(random).astype(np.float32) @ rotations[:, 0]

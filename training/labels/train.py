@@ -76,7 +76,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         }
         super().__init__(settings)
 
-    def untrained(self, state: Mapping[str, Any] | None) -> LabelNetwork:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> LabelNetwork:
         """Make a network with random weights."""
         del state
         return LabelNetwork()
@@ -98,16 +98,16 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         settings = self.settings
         clouds = self.learned.draw(settings.windows, settings.variation, self.random)
         seen = network_input(clouds)
-        said = outputs_of(self.networks.train(), seen, clouds.points.shape[1])
-        return losses(said, seen, clouds)
+        outputs = outputs_of(self.networks.train(), seen, clouds.points.shape[1])
+        return losses(outputs, seen, clouds)
 
     @torch.no_grad()
     def errors(self) -> dict[str, float]:
         """Errors on other people; `score` is the mean share of wrong regions."""
         row: dict[str, float] = {}
         for name, clouds in self.checked.items():
-            said = outputs_of(self.averaged, network_input(clouds), clouds.points.shape[1])
-            row |= {name + key: value for key, value in errors(said, clouds).items()}
+            outputs = outputs_of(self.averaged, network_input(clouds), clouds.points.shape[1])
+            row |= {name + key: value for key, value in errors(outputs, clouds).items()}
         score = (row["wrong"] + row["half_wrong"] + row["tilted_wrong"]) / 3
         return row | {"score": score}
 
@@ -209,7 +209,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
 def _point_losses(
     raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The loss of every point by region and by place; zero off the body."""
+    """Losses of the region and of the place of every point; zero for points off the body."""
     found = cross_entropy(
         raw.regions.mT, regions, ignore_index=-1, reduction="none", label_smoothing=0.01
     )
@@ -227,16 +227,16 @@ def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
     labels = label_probabilities(raw, clouds.present.flatten(0, 1))
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
     on_body = region >= 0
-    said = labels.regions.argmax(-1)
-    right = (said == region) & on_body
-    exchanged = (torch.tensor(MIRRORED_REGIONS)[said] == region) & on_body
+    predicted = labels.regions.argmax(-1)
+    right = (predicted == region) & on_body
+    exchanged = (torch.tensor(MIRRORED_REGIONS)[predicted] == region) & on_body
     either = torch.maximum(right.sum(-1), exchanged.sum(-1)).sum() / on_body.sum()
     away = (labels.places - clouds.places.flatten(0, 1)).norm(dim=-1)[on_body]
-    told = (raw.on_body > 0)[present] == on_body[present]
+    strays_right = (raw.on_body > 0)[present] == on_body[present]
     return {
         "wrong": 1 - float(right.sum() / on_body.sum()),
         "sided": 1 - float(either),
         "place_cm": 100 * float(away.mean()),
         "place_median_cm": 100 * float(away.median()),
-        "stray_wrong": 1 - float(told.float().mean()),
+        "stray_wrong": 1 - float(strays_right.float().mean()),
     }

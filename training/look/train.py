@@ -100,7 +100,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         self.noise = torch.Generator(settings.device)
         super().__init__(settings)
 
-    def untrained(self, state: Mapping[str, Any] | None) -> LookNetwork:
+    def untrained_networks(self, state: Mapping[str, Any] | None) -> LookNetwork:
         """A random network, or the one to start from; a checkpoint's weights are loaded later."""
         del state
         settings = self.settings
