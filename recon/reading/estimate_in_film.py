@@ -111,7 +111,7 @@ def _order_or_delay_warning(file: KeypointsFile, estimate: Keypoints3D) -> tuple
 def _reversed_or_shifted(
     file: KeypointsFile,
 ) -> Iterator[tuple[str, tuple[KeypointsFile, KeypointsFile]]]:
-    """Yield changes of time: words, and the keypoints before and after the change."""
+    """Yield reversals and shifts in time: words, and the keypoints before and after."""
     reverse = replace(file, pixels=file.pixels[::-1], confidence=file.confidence[::-1])
     yield "runs backwards", (file, reverse)
     cut, count = round(_CUT_S * file.fps), len(file.pixels)

@@ -39,7 +39,7 @@ class OrientedCloud:
 
     points: Float[np.ndarray, "points 3"]
     frame: Int[np.ndarray, " points"]
-    """The frame of the clip each was seen in, of one clock for all cameras."""
+    """In which frame each point was seen, counted from the same moment for all cameras."""
     normals: Float[np.ndarray, "points 3"]
     """Of unit length, towards the camera; zero where the surface is not flat."""
 
@@ -120,7 +120,7 @@ def _path_of_moving_points(view: OrientedCloud) -> dict[int, Float[np.ndarray, "
     return {k: np.median(some, axis=0) * (1, 1, 0) for k, some in shown if len(some)}
 
 
-def poses_aligned(
+def refined_poses(
     views: Sequence[OrientedCloud],
     poses: Float[np.ndarray, "cameras 4 4"],
     base: int,

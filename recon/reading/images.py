@@ -62,8 +62,8 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     """
     if file.camera.distortion is None:
         return file.pixels
-    written = (file.pixels == 0).all(-1, keepdims=True)
-    return np.where(written, 0.0, undistorted_pixels(file.pixels, file.camera))
+    missing = (file.pixels == 0).all(-1, keepdims=True)
+    return np.where(missing, 0.0, undistorted_pixels(file.pixels, file.camera))
 
 
 def _undistorted_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
