@@ -75,7 +75,7 @@ class CameraRig:
             ObservationError: when the name does not end in .toml.
         """
         if Path(out).suffix.lower() != ".toml":
-            raise ObservationError(f"{out}: a calibration is written as .toml; name it so")
+            raise ObservationError(f"{out}: expected a path that ends in .toml for a calibration")
         with writing_file(Path(out), report or self.report(), overwrite=overwrite) as staged:
             tables = (camera_table(name, one) for name, one in self.cameras.items())
             staged.write_text("\n".join(tables))
