@@ -51,13 +51,13 @@ if TYPE_CHECKING:
     from recon.gait.report import report as report
     from recon.live.stream import Stream as Stream
     from recon.people.together import fit_people as fit_people
-    from recon.reading.door import load_observation as load_observation
-    from recon.reading.door import read as read
+    from recon.reading.read import load_observation as load_observation
+    from recon.reading.read import read as read
 
 _HOMES = {
     "fit": "recon.api.fit",
-    "read": "recon.reading.door",
-    "load_observation": "recon.reading.door",
+    "read": "recon.reading.read",
+    "load_observation": "recon.reading.read",
     "fit_clips": "recon.batch.clips",
     "fit_people": "recon.people.together",
     "Stream": "recon.live.stream",

@@ -25,7 +25,7 @@ from recon.formats.producers import is_film
 from recon.formats.writing import writing_file
 from recon.method.sensor import Sensor
 from recon.reading.clip import as_format_errors
-from recon.reading.images import keypoints_of, undistorted
+from recon.reading.images import keypoints_of, undistorted_keypoints
 from recon.reading.places import files_of_views
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
 from recon.reading.stated import rotation_to_level
@@ -75,7 +75,7 @@ class CameraRig:
             ObservationError: when the name does not end in .toml.
         """
         if Path(out).suffix.lower() != ".toml":
-            raise ObservationError(f"{out}: a calibration is written as .toml; name it so")
+            raise ObservationError(f"{out}: expected a path that ends in .toml for a calibration")
         with writing_file(Path(out), report or self.report(), overwrite=overwrite) as staged:
             tables = (camera_table(name, one) for name, one in self.cameras.items())
             staged.write_text("\n".join(tables))
@@ -219,7 +219,7 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     for name, view, file in zip(camera_names, views, files, strict=True):
         before = view.first_frame - first
         after = stop - view.first_frame - len(file.pixels)
-        pixels = np.pad(undistorted(file), ((before, after), (0, 0), (0, 0)))
+        pixels = np.pad(undistorted_keypoints(file), ((before, after), (0, 0), (0, 0)))
         confidence = np.pad(file.confidence, ((before, after), (0, 0)))
         lens = replace(file.camera, T_camera_world=None, distortion=None)
         found[name] = replace(file, pixels=pixels, confidence=confidence, camera=lens)

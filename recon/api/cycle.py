@@ -21,7 +21,7 @@ _FEW_MOMENTS = 4
 
 
 def cycle_report(
-    found: ClipFit, medians: Sequence[float | None]
+    found: ClipFit, residual_medians: Sequence[float | None]
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Return numbers that describe a completed gait cycle, and warnings if it may be none.
 
@@ -35,7 +35,7 @@ def cycle_report(
 
     Args:
         found: by `recon.fitting.cycles.complete`.
-        medians: of the residuals of its observations, metres; None where nothing was seen.
+        residual_medians: of its observations, metres; None where nothing was seen.
     """
     motion = found.result.clip(0).detach()
     prior = found.result.reports[-1].stage.prior
@@ -48,7 +48,7 @@ def cycle_report(
         "moments_seen": len(moments),
         "code_distance": float(latent) / prior.code_size,
         "swing_difference": difference,
-        "residual_mm": [None if one is None else 1000 * one for one in medians],
+        "residual_mm": [None if one is None else 1000 * one for one in residual_medians],
         "details": any(report.stage.name == "details" for report in found.result.reports),
     }
     warnings: list[Finding] = []

@@ -68,7 +68,7 @@ class Demo(dict[str, dict[str, Metrics]]):
     def __init__(self, metrics: Mapping[str, dict[str, Metrics]], out: Path) -> None:
         super().__init__(metrics)
         self.place = f"open {out / 'demo.html'} in a browser; the picture is {out / 'demo.png'}"
-        """What to look at."""
+        """Which files to open."""
 
     @property
     def tables(self) -> dict[str, dict[str, dict[str, float | None]]]:

@@ -52,7 +52,7 @@ def estimate_given(
         FileNotFoundError: when there is no such file.
     """
     known_shape = None if shape is None else shape_given(shape, body)
-    if not isinstance(motion, Path | str) or _states_this_body(Path(motion), body):
+    if not isinstance(motion, Path | str) or _was_saved_with_body(Path(motion), body):
         if unit or up or hand:
             raise ReconError(
                 "unit, up and hand (left- or right-handed axes) are options for estimates of "
@@ -110,7 +110,7 @@ def _unmirrored(
     return translation * world_signs, turned
 
 
-def _states_this_body(path: Path, body: BodyModel) -> bool:
+def _was_saved_with_body(path: Path, body: BodyModel) -> bool:
     """Whether a motion file names this body model as the one of its shape coefficients."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False

@@ -192,7 +192,7 @@ def fit(
 def complete(
     observations: ObservationsLike, prior: str | PriorLike = "recording", **how: Any
 ) -> Result:
-    """Complete a sparse recording of any length and any motion.
+    """Complete a recording with few points or few frames, of any length and any motion.
 
     Few points of every frame, a few landmarks, few frames at odd times, or all of these: a folder
     of scans (.ply, .pcd) with times.csv or a frame rate, or observations of points, 3D markers or
@@ -226,7 +226,7 @@ def complete(
 
 
 def _hold_estimated_bodies(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import holds_estimated_bodies  # only where files are given
+    from recon.formats.producers import holds_estimated_bodies  # imported only for files
 
     return holds_estimated_bodies(paths)
 

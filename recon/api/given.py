@@ -211,7 +211,7 @@ def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
     if found.ndim != 1 or not 0 < len(found) <= body.shape_size:
         raise ReconError(
             f"shape: expected 1 to {body.shape_size} coefficients, those of the body "
-            f"{body.name!r}, got the shape {tuple(found.shape)}"
+            f"{body.name!r}, got an array of shape {tuple(found.shape)}"
         )
     SHAPE.check(found.cpu(), "shape", "coefficients")
     return torch.nn.functional.pad(found, (0, body.shape_size - len(found)))

@@ -55,8 +55,8 @@ class _SeenHands:
 def with_fingers(
     motion: Motion,
     body: BodyModel,
-    given: Sequence[Sensor],
-    compared: Sequence[Sensor],
+    observations: Sequence[Sensor],
+    fitted_observations: Sequence[Sensor],
     T_world_recording: Float[Tensor, "4 4"],
 ) -> tuple[Motion, Findings]:
     """Fit both hands; return the motion with finger rotations, and findings about the hands.
@@ -66,13 +66,13 @@ def with_fingers(
     Args:
         motion: of the body, one clip without a batch axis.
         body: whose motion it is.
-        given: all observations, with one leading axis.
-        compared: these observations in this order as fitted, with the cameras that were found.
+        observations: all of the clip, with one leading axis.
+        fitted_observations: the same in this order as fitted, with the cameras that were found.
         T_world_recording: from the frame of the observations to that of the motion, metres.
     """
     seen = [
         _hands_at_frames(motion, body, one, fitted, T_world_recording.double())
-        for one, fitted in zip(given, compared, strict=True)
+        for one, fitted in zip(observations, fitted_observations, strict=True)
         if getattr(one, "fingers", None) is not None
     ]
     posed = body.pose(motion)

@@ -1,4 +1,4 @@
-"""`recon.interpolate`: a gait cycle between the cycles of two motions, without sliding feet."""
+"""`recon.interpolate`: a gait cycle interpolated from two motions, without sliding feet."""
 
 from dataclasses import asdict
 
@@ -35,7 +35,7 @@ def interpolate(
     body: BodyLike = None,
     fps: float | None = None,
 ) -> MadeMotion:
-    """Make a gait cycle between the gait cycles of two motions.
+    """Make a gait cycle by interpolating between the gait cycles of two motions.
 
     Of each the best cycle is taken. Best are those that look like gait and stand on the same feet:
     backward walking, whose hips swing as those of forward walking do, stands on the other foot
@@ -74,7 +74,7 @@ def interpolate(
     if float(agree.max()) <= 0:
         raise ReconError(
             f"{given[0].name} and {given[1].name}: where one stands on the left foot the other "
-            "stands on the right, and what lies between would stand on neither; give a longer "
+            "stands on the right, so a motion between them would stand on neither; give a longer "
             "recording of one, or a cycle that begins half a cycle later"
         )
     costs = [torch.tensor([cycle.cost for cycle in found]) for found in candidates]

@@ -103,7 +103,7 @@ def label(
     unit: Unit | None = None,
     up: Up | None = None,
 ) -> LabelledMarkers:
-    """Name the markers of a recording as in another trial of the same person, or of a set.
+    """Name a recording's markers as in another trial of the same person, or as in a marker set.
 
     Trajectories are cut where they jump. A body with the markers, that of the named trial or, of a
     set, one of several statures, is fitted to single frames and followed from there; each frame
@@ -128,7 +128,7 @@ def label(
     seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
         bodies, like_what = _marked_bodies(like, set, unit, up)
-    outputs = _are_outputs(seen.marker_names, bodies[0].markers.labels)
+    outputs = _is_model_output(seen.marker_names, bodies[0].markers.labels)
     naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled_markers(seen, outputs, naming, like_what, source)
@@ -154,7 +154,7 @@ def _marked_bodies(
     return [body_of_named_trial(trial, body, markers)], trial.name
 
 
-def _are_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
+def _is_model_output(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
     """Return a mask of the named points that are no markers (joint centres, angles, ...)."""
     known = np.isin(names, markers)
     if known.sum() < FEWEST_MARKERS:

@@ -99,7 +99,7 @@ def in_fit_frame(clip: Clip, ground: Any) -> ClipInFitFrame:
 
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
-        raise ReconError("ground: the files were read with another; give this plane when reading")
+        raise ReconError("ground: files were read with another plane; give this one to recon.read")
     if unposed:
         found = _in_world(clip, camera_above(plane), ground_known=False)
     else:

@@ -143,7 +143,7 @@ def fit_and_check(
 
 
 def _start_at_data_rate(
-    seen: Sequence[Sensor], start: Motion | None, found: Motion | None
+    seen: Sequence[Sensor], start: Motion | None, guess: Motion | None
 ) -> Motion | None:
     """Return the initial motion (the caller's, else the checks') at the data's frame rate.
 
@@ -151,7 +151,7 @@ def _start_at_data_rate(
     """
     if start is not None:
         return start.resample(min(start.fps, max(one.fps for one in seen)))
-    return found and found.resample(max(one.fps for one in seen if one.named))
+    return guess and guess.resample(max(one.fps for one in seen if one.named))
 
 
 def _completed_recording(

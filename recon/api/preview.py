@@ -80,7 +80,7 @@ def preview(
 
 
 def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
-    """Load a network that proposes motions; a class is loaded as a prior's class is.
+    """Return a network that proposes motions, given as a function or by its name.
 
     Raises:
         FileNotFoundError: when there are no such weights.

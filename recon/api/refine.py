@@ -79,7 +79,7 @@ def refine(
         given = {name: how.pop(name) for name in _OF_FILMS if name in how}
         people = people_of_film(Path(film), ReadOptions.of({"frame_rate": frame_rate, **given}))
         frame_rate = frame_rate or people[0].files[0].fps
-    if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
+    if isinstance(motion, str | Path) and _holds_3d_keypoints(Path(motion)):
         names = ("frame_rate", "unit", "up", "hand", "person")
         values = (frame_rate, unit, up, hand, person)
         reading: dict[str, Any] = dict(zip(names, values, strict=True))
@@ -113,7 +113,7 @@ def refine(
     return replace(result, notes=(*notes, *result.notes), examined=examined, warnings=warnings)
 
 
-def _is_keypoints(path: Path) -> bool:
+def _holds_3d_keypoints(path: Path) -> bool:
     """Whether an estimate's file holds 3D keypoints; raise an error if it holds no motion."""
     from recon.formats.producers import holds_sam3d_body, refuse_unsupported
 

@@ -23,7 +23,7 @@ from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import as_format_errors, clip_of_files
-from recon.reading.icp import OrientedCloud, poses_aligned, rough_poses
+from recon.reading.icp import OrientedCloud, refined_poses, rough_poses
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -143,7 +143,7 @@ def register(
             f"{names[int(level.argmin())]}: this camera sees no ground, so its pose "
             "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
-    found, shared = poses_aligned(views, start, base, level)
+    found, shared = refined_poses(views, start, base, level)
     for name, share in zip(names, shared, strict=True):
         if share < _SHARED:
             raise ObservationError(
@@ -221,7 +221,7 @@ def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _oriented_clouds(
-    files: Sequence[PointsFile], stands: np.ndarray, level: np.ndarray, base: int
+    files: Sequence[PointsFile], poses: np.ndarray, sees_ground: np.ndarray, base: int
 ) -> list[OrientedCloud]:
     """Return clouds of frames that two cameras saw at once, z up, without ground points."""
     generator, first = np.random.default_rng(0), files[base]
@@ -238,7 +238,7 @@ def _oriented_clouds(
         raise ObservationError("no two cameras saw anything at the same time; check their clocks")
     chosen = several[np.unique(np.linspace(0, len(several) - 1, _FRAMES).round().astype(int))]
     views = []
-    for file, frame, tick, T, flat in zip(files, frames, ticks, stands, level, strict=True):
+    for file, frame, tick, T, flat in zip(files, frames, ticks, poses, sees_ground, strict=True):
         points = file.points @ T[:3, :3].T + T[:3, 3]
         kept = np.isin(frame, chosen) & (np.abs(tick - frame) < _SAME_TIME)
         kept &= (points[:, 2] > _GROUND) | (not flat)

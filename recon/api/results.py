@@ -29,16 +29,16 @@ WIDEST = 96
 """Characters of a line."""
 
 
-def in_ten_lines(first: str, known: Sequence[str], found: Sequence[str]) -> str:
+def in_ten_lines(headline: str, facts: Sequence[str], findings: Sequence[str]) -> str:
     """At most ten lines: a headline, the known facts, and the findings.
 
     Args:
-        first: the headline.
-        known: lines, such as one for every observation.
-        found: repairs and warnings.
+        headline: the first line.
+        facts: lines, such as one for every observation.
+        findings: repairs and warnings.
     """
-    lines = [*first_lines(known, _KNOWN, "lines"), *first_lines(found, _FINDINGS, "findings")]
-    return "\n".join([first, *map(one_line, lines)])
+    lines = [*first_lines(facts, _KNOWN, "lines"), *first_lines(findings, _FINDINGS, "findings")]
+    return "\n".join([headline, *map(one_line, lines)])
 
 
 def described_motion(motion: Motion, body_height: float) -> str:

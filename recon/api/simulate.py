@@ -38,7 +38,7 @@ class Simulated:
     kind: SensorKind
     """What the sensor gives."""
     files: Mapping[str, ObservationFile]
-    """What files of them hold, by the name of the camera; without a name where there is none."""
+    """The content of each observation file, by camera name (empty without a camera)."""
     truth: Motion
     """The motion at the sensor's moments."""
     body: BodyModel

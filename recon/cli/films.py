@@ -1,4 +1,4 @@
-"""Films as inputs of verbs: detects people before the verb reads, draws a sheet after it."""
+"""Films as inputs of verbs: detects people before the verb runs, draws pictures after it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -171,7 +171,7 @@ def check_plugins(prior: str, reader: str | None) -> None:
         near = get_close_matches(prior, known, n=1)
         hint = f" (did you mean {near[0]}?)" if near else ""
         raise ValueError(
-            f"there is no prior {prior}{hint}; there are {', '.join(known)}, and "
+            f"there is no prior {prior}{hint}; expected {', '.join(known)}, or "
             "package.module:Class of your own"
         )
     if reader is not None and ":" not in reader:

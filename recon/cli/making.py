@@ -53,7 +53,7 @@ class Verb:
     function_name: str
     """The function as "module:name"."""
     places: tuple[Place, ...] = (Place("out", motion_output),)
-    """Its outputs; what it does not write itself is its result, which is saved at the first."""
+    """Arguments that name its outputs; a result that it does not write is saved at the first."""
     out: str = (
         "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells "
         "what happened."

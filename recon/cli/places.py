@@ -79,7 +79,7 @@ class Place:
 
     parameter: str
     outputs: Callable[[Path, Arguments], tuple[Output, ...]] = file_output
-    """What is written, by the argument and all the others; default: a file and its report."""
+    """Lists what is written, from the path and all arguments; default: a file and its report."""
 
 
 def writes(

@@ -12,12 +12,12 @@ from recon.cli.films import draw_film_sheets, films_given, with_films_detected
 from recon.cli.looks import refuse_unsuitable
 
 
-def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
+def run(function_name: str, outputs: Sequence[str], given: Mapping[str, Any]) -> None:
     """Call a verb's function with a command line's values; write and print its result.
 
     Args:
-        place: of the function, "module:name".
-        written: names of arguments that name outputs. The first is the place of the result where
+        function_name: "module:name".
+        outputs: names of arguments that name outputs. The first is the place of the result where
             the function does not write it itself.
         given: arguments by name; `settings` are options of fits, `json` asks for an answer.
 
@@ -26,14 +26,14 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         FileNotFoundError, ValueError: for bad input.
     """
     refuse_unsuitable(given)
-    if written and isinstance(out := given.get(written[0]), Path):
+    if outputs and isinstance(out := given.get(outputs[0]), Path):
         given = with_films_detected(given, out)
-    module, _, name = place.partition(":")
+    module, _, name = function_name.partition(":")
     function = getattr(import_module(module), name)
     known = signature(function).parameters
     how = {key: value for key, value in given.items() if key in known}
     how |= {key: read(how[key]) for key, read in _VALUES.items() if key in how}
-    if not written or written[0] in known:
+    if not outputs or outputs[0] in known:
         _print_result(function(**how), given)
         return
     from recon.reading.inputs import input_checksums
@@ -48,7 +48,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     inputs = input_checksums(how | options)
     with console.stage_progress_bars({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))
-    out = given[written[0]]
+    out = given[outputs[0]]
     write_and_tell(result, out, inputs, options, given)
     if settings is not None:
         draw_film_sheets(films_given(given), out, settings)

@@ -55,7 +55,7 @@ def stream(
 
     from recon.cli import console
     from recon.cli.inputs import check_inputs
-    from recon.reading.door import load_observation
+    from recon.reading.read import load_observation
 
     check_inputs({"observations": observations, "camera": camera, "body": body})
     from recon.api.given import body_given

@@ -76,11 +76,11 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 files.append((str(path), found[0]))
                 notes += [f"{path}: {decision}" for decision in found[1]]
         if not detections:
-            return _clip_of_one_person(files, notes, settings, body)
+            return _clip_without_needless_ground(files, notes, settings, body)
         if settings.person == "all":
             raise ObservationError(
-                "one clip is of one person; `recon fit --person all`, in Python "
-                "recon.people.together.load_people and recon.fit_people, fit everybody"
+                "expected one person in a clip, got all; run `recon fit --person all`, in Python "
+                "recon.people.together.load_people and recon.fit_people, to fit everybody"
             )
         views = read_views(detections, settings, settings.between).views_of_person(settings.person)
         shown = views.files
@@ -93,7 +93,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             mask = load_silhouettes(settings.masks)
             shown = (inside_silhouettes(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
-        clip = _clip_of_one_person(files, [*notes, *views.decisions], settings, body)
+        clip = _clip_without_needless_ground(files, [*notes, *views.decisions], settings, body)
         span = views.shot
         if len(projects) == 1 and projects[0].frames is not None:
             span = (projects[0].frames[0], projects[0].frames[1] - 1)
@@ -202,7 +202,7 @@ def files_of_projects(
     """
     for path in paths:
         if not path.exists():
-            raise FileNotFoundError(f"no observation at {path}")
+            raise FileNotFoundError(f"{path}: expected an observation, found nothing")
     if settings.camera is not None:
         return list(paths), settings, []
     projects = {path: one for path in paths if (one := project_at(path)) is not None}
@@ -229,7 +229,7 @@ def clip_of_files(
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """Make one clip of all files; depth without a pose comes first, as it may see the ground.
+    """Make one clip of all files; a depth sensor without pose goes first: it may see the ground.
 
     Args:
         files: the data that were read, each with a name for messages.
@@ -282,13 +282,13 @@ def clip_of_files(
     return Clip(observations, names, tuple(notes), T, plane is not None)
 
 
-def _clip_of_one_person(
+def _clip_without_needless_ground(
     files: Sequence[tuple[str, Content]],
     notes: Sequence[str],
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """Like `clip_of_files`, but without a given ground where all sensors' poses are known."""
+    """Like `clip_of_files`, but ignore a given ground where all sensors' poses are known."""
     if all(_has_pose(file) for _, file in files):
         settings = replace(settings, ground=None)
     return clip_of_files(files, notes, settings, body)

@@ -52,7 +52,7 @@ class _PersonClusters:
 
 
 def clusters_of_one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
-    """Choose a cluster per frame: the largest in the clearest frame, then from there the nearest.
+    """Choose a cluster per frame: the largest in the clearest frame, from there on the nearest.
 
     The largest cluster of every frame would jump from one person to another.
 
@@ -252,7 +252,7 @@ def cloud_of(
 
 
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the clouds with those frames empty that show only noise of the ground.
+    """Return the clouds, emptied in frames that show only noise of the ground.
 
     Flat frames with few points, compared with frames in which something rises above the ground,
     are noise. So is something that rises in hardly any frame.

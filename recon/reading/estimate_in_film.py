@@ -19,7 +19,7 @@ from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.fitting.settings import ReadOptions
 from recon.formats.observations import KeypointsFile
-from recon.reading.images import keypoints_of, undistorted
+from recon.reading.images import keypoints_of, undistorted_keypoints
 from recon.reading.places import body_size
 from recon.reading.views import Views, read_views
 
@@ -111,7 +111,7 @@ def _order_or_delay_warning(file: KeypointsFile, estimate: Keypoints3D) -> tuple
 def _reversed_or_shifted(
     file: KeypointsFile,
 ) -> Iterator[tuple[str, tuple[KeypointsFile, KeypointsFile]]]:
-    """Yield changes of time: words, and the keypoints before and after the change."""
+    """Yield reversals and shifts in time: words, and the keypoints before and after."""
     reverse = replace(file, pixels=file.pixels[::-1], confidence=file.confidence[::-1])
     yield "runs backwards", (file, reverse)
     cut, count = round(_CUT_S * file.fps), len(file.pixels)
@@ -138,7 +138,7 @@ def _fitted_camera(
     kept = np.flatnonzero((rows >= 0) & (rows < len(places)))
     points = places.detach().double().numpy()[rows[kept]][:, columns]
     both = there.numpy()[rows[kept]][:, columns] & (file.confidence[kept][:, others] > 0)
-    points, pixels = points[both], undistorted(file)[kept][:, others][both]
+    points, pixels = points[both], undistorted_keypoints(file)[kept][:, others][both]
     if len(points) < _FEWEST:
         return np.inf, np.eye(4)
     step = -(-len(points) // _MOST)

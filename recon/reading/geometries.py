@@ -42,7 +42,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
             that apply to files only; says what to do.
     """
     if others := sorted(set(settings.changed_names()) - _HEEDED):
-        raise ObservationError(f"{', '.join(others)}: options for reading files, not geometries")
+        raise ObservationError(f"leave out {', '.join(others)}: options of files, not geometries")
     if settings.frame_rate is None:
         raise ObservationError("geometries have no clock: give frame_rate, frames per second")
     pairs = [one for one in given if isinstance(one, tuple)]
@@ -67,7 +67,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     generator = np.random.default_rng(settings.seed)
     kept = [thinned_cloud(cloud, POINTS, 3.0, generator) for cloud in clouds]
     if not any(map(len, kept)):
-        raise ObservationError("no geometry has any point")
+        raise ObservationError("expected points in a geometry, got none in any")
     points, said = np.concatenate(kept), ()
     if camera is None:
         up = settings.up
@@ -81,7 +81,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         camera=camera,
         decisions=said,
     )
-    if camera is None:  # a given ground is in a camera's frame, not in the world
+    if camera is None:  # a given ground plane is in a camera's frame: drop it
         settings = replace(settings, ground=None)
     return clip_of_files([("geometries", file)], (), settings, body)
 

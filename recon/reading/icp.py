@@ -39,7 +39,7 @@ class OrientedCloud:
 
     points: Float[np.ndarray, "points 3"]
     frame: Int[np.ndarray, " points"]
-    """The frame of the clip each was seen in, of one clock for all cameras."""
+    """In which frame each point was seen, counted from the same moment for all cameras."""
     normals: Float[np.ndarray, "points 3"]
     """Of unit length, towards the camera; zero where the surface is not flat."""
 
@@ -83,21 +83,21 @@ def rough_poses(
     """
     from scipy.spatial import KDTree
 
-    own, paths = views[base], [_path_of_moving_points(one) for one in views]
-    tree = KDTree(_with_frame_as_coordinate(own.points, own.frame))
+    base_view, paths = views[base], [_path_of_moving_points(one) for one in views]
+    tree = KDTree(_with_frame_as_coordinate(base_view.points, base_view.frame))
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for number in set(range(len(views))) - {base}:
         common = sorted(paths[number].keys() & paths[base].keys())
-        goal, way = (
+        base_path, path = (
             np.array([paths[k][frame] for frame in common]).reshape(-1, 3) for k in (base, number)
         )
         some = views[number][:: max(len(views[number].points) // _LOOKED, 1)]
         best, apart = 0.0, np.inf
         for turn in np.linspace(0, 2 * np.pi, _TURNS, endpoint=False) if common else ():
             T = _moved_pose(np.eye(4), np.array([0, 0, turn, 0, 0, 0]))
-            T[:3, 3] = (goal - way @ T[:3, :3].T).mean(0)
-            off = float(np.linalg.norm(way @ T[:3, :3].T + T[:3, 3] - goal, axis=1).mean())
-            pairs, _ = _residuals_and_jacobian(some, own, T, np.eye(4), tree, *_ROUGHLY)
+            T[:3, 3] = (base_path - path @ T[:3, :3].T).mean(0)
+            off = float(np.linalg.norm(path @ T[:3, :3].T + T[:3, 3] - base_path, axis=1).mean())
+            pairs, _ = _residuals_and_jacobian(some, base_view, T, np.eye(4), tree, *_ROUGHLY)
             if len(pairs) / (off + _CELL) > best:
                 best, apart, poses[number] = len(pairs) / (off + _CELL), off, T
         if apart > _ALIKE:
@@ -120,7 +120,7 @@ def _path_of_moving_points(view: OrientedCloud) -> dict[int, Float[np.ndarray, "
     return {k: np.median(some, axis=0) * (1, 1, 0) for k, some in shown if len(some)}
 
 
-def poses_aligned(
+def refined_poses(
     views: Sequence[OrientedCloud],
     poses: Float[np.ndarray, "cameras 4 4"],
     base: int,

@@ -35,7 +35,7 @@ def keypoints_of(
             f"layout {file.layout} has {len(points.known)} keypoints, got {file.pixels.shape[1]}"
         )
     camera, path = undistorted_camera(file.camera, T_recording_camera), file.camera.path
-    pixels = torch.from_numpy(undistorted(file)).float()[None]
+    pixels = torch.from_numpy(undistorted_keypoints(file)).float()[None]
     confidence = torch.from_numpy(file.confidence).float()[None] * points.known
     view = Keypoints2D(
         pixels=torch.where(confidence[..., None] > 0, pixels, 0.0),
@@ -55,15 +55,15 @@ def keypoints_of(
     return view if view.unit_known else with_path_in_metres(view, feet_in_camera(view, body))
 
 
-def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
+def undistorted_keypoints(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     """Return a view's keypoints without lens distortion, pixels of the same camera matrix.
 
     Exact zeros stay zero, as they mark missing points that diagnosis looks for.
     """
     if file.camera.distortion is None:
         return file.pixels
-    written = (file.pixels == 0).all(-1, keepdims=True)
-    return np.where(written, 0.0, undistorted_pixels(file.pixels, file.camera))
+    missing = (file.pixels == 0).all(-1, keepdims=True)
+    return np.where(missing, 0.0, undistorted_pixels(file.pixels, file.camera))
 
 
 def _undistorted_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:

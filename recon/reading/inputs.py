@@ -34,7 +34,7 @@ class InputFiles:
     path: Path
     files: tuple[Path, ...]
     root: Path | None = None
-    """Folder of all of these files, where some lie above the given one."""
+    """A folder that holds all of these files, where some of them lie outside `path`."""
 
     def checksum(self) -> str:
         """SHA-256 of the file, or of the contents and names of the files that are read.

@@ -185,13 +185,13 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
         _refuse_fractions_of_images(known)
     if found.misfit > 2 * GOOD:
         raise FormatError(
-            f"{name}: the points are no body by their names: bones change their lengths or have "
-            "lengths that no person's have; check the names of the points"
+            f"{name}: the points do not form a body under their names: bones change their "
+            "lengths, or nobody has such bones; check the names of the points"
         )
     if unit is None and not fitting:
         raise UnitsError(
-            f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
-            "average person in metres, which no person is in m, cm or mm"
+            f"{name}: distances of the points are {found.size:.3g} times those of an average "
+            "person in metres, so that the unit is not m, cm or mm"
             f"{hint_at_adult(_STATURE * found.size)}; scale them to metres, or give "
             "--unit; keypoints in pixels go into an .npz, keypoints=(frames, points, 3)"
         )
@@ -231,7 +231,7 @@ def _up_axis(
     given: Up | None,
     name: str,
 ) -> tuple[Up, str]:
-    """Return the up axis and the reason, which says if the person lies by a given up axis."""
+    """Return the up axis and the reason; it warns if the person would lie by a given axis."""
     try:
         found, reason = inferred_up(names, positions, visible, None, name)
     except UnitsError:
@@ -272,13 +272,13 @@ def _stands_upright(
     visible: Bool[np.ndarray, "time points"],
 ) -> bool:
     """Return whether the shoulders are on average vertically above the ankles."""
-    heights = [k for k, name in enumerate(names) if name in _SHOULDERS]
+    shoulders = [k for k, name in enumerate(names) if name in _SHOULDERS]
     ankles = [k for k, name in enumerate(names) if name in ("left_ankle", "right_ankle")]
-    both = visible[:, heights].any(1) & visible[:, ankles].any(1)
+    both = visible[:, shoulders].any(1) & visible[:, ankles].any(1)
     if not both.any():
         return False
     shown = np.where(visible[both][..., None], positions[both], np.nan)
-    mean = (np.nanmean(shown[:, heights], 1) - np.nanmean(shown[:, ankles], 1)).mean(0)
+    mean = (np.nanmean(shown[:, shoulders], 1) - np.nanmean(shown[:, ankles], 1)).mean(0)
     return bool(np.linalg.norm(mean[:2]) < _STRAIGHT * mean[2])
 
 

@@ -70,7 +70,7 @@ class PersonLinks:
     """The person that every detection of a view belongs to, and where tracks end in doubt."""
 
     labels: Int[np.ndarray, " rows"]
-    """Person of every detection; -1 for detections of a part of another detection's body."""
+    """Person of every detection; -1 if it shows only a part of a body that another shows."""
     ended: Mapping[int, int]
     """Frame in which a person's track ends because it may go on as somebody else's."""
 
@@ -119,8 +119,8 @@ class _Assignment:
     people: tuple[_Person, ...]
     cost: float
     frames: _FrameLinks | None
-    fresh: int
-    """The next label."""
+    next_label: int
+    """The label that the next new person gets."""
     doubts: tuple[tuple[int, frozenset[int]], ...] = ()
     """First frame of every doubt, and the labels that it concerns from then on."""
 
@@ -195,18 +195,18 @@ class _LinkSearch:
             labels.update(step.labels)
             step = step.before
         ended: dict[int, int] = {}
-        fresh = best.fresh
+        next_label = best.next_label
         for frame, names in sorted(best.doubts, key=lambda doubt: -doubt[0]):
             for name in sorted(names):
                 own = [row for row, label in labels.items() if label == name]
                 later = [row for row in own if self.seen.frame[row] >= frame]
                 if not 0 < len(later) < len(own):
                     continue
-                labels.update(dict.fromkeys(later, fresh))
+                labels.update(dict.fromkeys(later, next_label))
                 if name in ended:
-                    ended[fresh] = ended[name]
+                    ended[next_label] = ended[name]
                 ended[name] = frame
-                fresh += 1
+                next_label += 1
         return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
     def _without_duplicates(
@@ -286,9 +286,9 @@ class _LinkSearch:
         chosen_rows: Mapping[int, int],
         costs: Float[np.ndarray, "people rows"],
     ) -> _Assignment:
-        people, fresh, cost, labels = (
+        people, next_label, cost, labels = (
             list(assignment.people),
-            assignment.fresh,
+            assignment.next_label,
             assignment.cost,
             dict[int, int](),
         )
@@ -297,15 +297,15 @@ class _LinkSearch:
             if p in taken:
                 k = taken[p]
                 cost += float(costs[k, p])
-                people[k] = self._seen_again(people[k], row, frame)
+                people[k] = self._updated_person(people[k], row, frame)
                 labels[row] = people[k].label
             else:
                 cost += BEGINS
-                people.append(self._new_person(fresh, row, frame))
-                labels[row] = fresh
-                fresh += 1
+                people.append(self._new_person(next_label, row, frame))
+                labels[row] = next_label
+                next_label += 1
         step = _FrameLinks(frame, labels, assignment.frames)
-        return _Assignment(tuple(people), cost, step, fresh, assignment.doubts)
+        return _Assignment(tuple(people), cost, step, next_label, assignment.doubts)
 
     def _new_person(self, label: int, row: int, frame: int) -> _Person:
         known = self.seen.confidence[row] > 0
@@ -314,14 +314,14 @@ class _LinkSearch:
             self.trunks[row],
         )  # fmt: skip
 
-    def _seen_again(self, person: _Person, row: int, frame: int) -> _Person:
+    def _updated_person(self, person: _Person, row: int, frame: int) -> _Person:
         known, pixels = self.seen.confidence[row] > 0, self.seen.pixels[row]
         both, frames = person.known & known, frame - person.frame
         kept = person.velocity if person.extrapolated_frames(frame) else np.zeros(2)
         moved = frames * kept
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
-        # share of the new frame in running means; in those of a new track all frames count equally
+        # weight of the new frame in running means; frames of a new track weigh all the same
         share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SEEN_FRAMES else _MEMORY
         trunk = self.trunks[row]
         if not np.isnan(person.trunk) and not np.isnan(trunk):

@@ -62,7 +62,7 @@ def _masks_of_array(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
             read = np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(member)
         if len(shape) != 3 or dtype.kind not in "bui" or fortran or shape[0] == 0:
-            raise FormatError(f"got {dtype} {shape}" + ", column by column" * fortran)
+            raise FormatError(f"got {dtype} {shape}" + ", stored column by column" * fortran)
         height, width = shape[1:]
         IMAGE.check(height * width * dtype.itemsize, path, _KEY)
         for _ in range(shape[0]):

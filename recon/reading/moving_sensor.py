@@ -48,7 +48,7 @@ def sensor_movement(
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
-            # take the wall that matches best, since the person may hide the other for a while
+            # the person may hide a wall for a while: compare the two walls that match best
             pairs = [_plane_difference(a, b, middle) for a in planes for b in others]
             if pairs:
                 least = min(pairs, key=lambda pair: pair[0] / _SAID[0] + pair[1] / _SAID[1])

@@ -88,7 +88,7 @@ def centre_distance(detections: Detections, a: int, b: int) -> float:
 def without_fragments(
     detections: Detections, rows: Sequence[int], last_rows: Sequence[int]
 ) -> list[int]:
-    """Detections of a frame without those that show only a part of a person shown by another.
+    """Drop detections of a frame that show only a part of a person whom another one shows.
 
     Args:
         detections: of one view.
@@ -283,7 +283,7 @@ def inside_silhouettes(
     if not any(frame in masks.images for frame in frames):
         raise ObservationError(
             f"{masks.name}: no mask is of a frame from {frames[0]} to {frames[-1]}; masks are "
-            f"numbered from {min(masks.images)} to {max(masks.images)}"
+            f"numbered from {min(masks.images)} to {max(masks.images)}; number them by frame"
         )
     width, height = file.camera.image_size
     kernel = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)

@@ -175,7 +175,7 @@ def _turn_to_z_up(
     low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))
     if _ROOM[0] < low and high < _ROOM[1]:
         raise ObservationError(
-            f"{path}: z is up by the file, but the body stands along {found}; give --up {found}, "
+            f"{path}: the file has z up, but the body stands along {found}; give --up {found}, "
             "or --up z if the person really lies or hangs"
         )
     said = f"up axis {found}: the file says z, but the body stands along it, and not above z = 0"
@@ -202,7 +202,7 @@ def _check_size(
 
 
 def _median_spread(points: np.ndarray) -> Float[np.ndarray, " frames"]:
-    """Median distance of (frames, points, 3) from their middle; a few may be wild or NaN."""
+    """Median distance of every frame's points from their middle; a few may be wild or NaN."""
     middle = finite_median(points.swapaxes(-1, -2))
     return finite_median(np.linalg.norm(points - middle[:, None], axis=-1)) + 1e-9
 
@@ -221,20 +221,20 @@ _MOMENTS = 400
 
 
 @dataclass(frozen=True)
-class Lengths:
+class BoneLengths:
     """Distances of points along bones, relative to those of the average body."""
 
     size: float
-    """Median ratio: the unit in metres, for a body as large as the average one, inverted."""
+    """Median of the ratios: 1000 for a person of average size in millimetres."""
     misfit: float
-    """Mean over the distances of how far each is from this size (relative, at most 1), and of how
-    much it varies (relative, at most 1)."""
+    """How far ratios are from their median, plus how far each distance varies over time; both
+    relative, at most 1, and averaged over the distances."""
 
 
 def bone_lengths(
     positions: Float[np.ndarray, "time points 3"], points: BodyPoints, body: BodyModel
-) -> Lengths | None:
-    """Agreement of points with a body of any size; None where too few distances are visible."""
+) -> BoneLengths | None:
+    """Measure how points' distances fit a body of any size; None where too few are visible."""
     rest = points.at_rest(body, body.template.new_zeros(body.shape_size)).double().numpy()
     some = positions[:: max(len(positions) // _MOMENTS, 1)]
     ratios: list[float] = []
@@ -254,7 +254,7 @@ def bone_lengths(
         return None
     size = float(np.median(ratios))
     away = np.minimum(np.abs(np.array(ratios) / max(size, 1e-12) - 1), 1.0)
-    return Lengths(size, float(away.mean() + np.minimum(spreads, 1.0).mean()))
+    return BoneLengths(size, float(away.mean() + np.minimum(spreads, 1.0).mean()))
 
 
 def settle_body_layout(
@@ -295,7 +295,7 @@ def settle_body_layout(
         return layout, f"layout {layout}: given"
     if not misfits:
         raise FormatError(
-            f"{name}: {count} points are no layout known here ("
+            f"{name}: {count} points, but known layouts have other numbers ("
             f"{', '.join(f'{one} {len(names)}' for one, names in LAYOUTS.items())}); write the "
             "names of the points beside them, in a table or .npz"
         )
@@ -307,7 +307,7 @@ def settle_body_layout(
     best, *others = sorted(fitting, key=lambda one: misfits[one])
     if others and misfits[best] > _BETTER * misfits[others[0]]:
         raise FormatError(
-            f"{name}: {count} points may be {' or '.join((best, *others))}; give --layout"
+            f"{name}: {count} points fit {' and '.join((best, *others))}; choose one by --layout"
         )
     which = f"{count} points" if len(misfits) == 1 else f"{count} points, a body only so"
     return best, f"layout {best}: {which}"

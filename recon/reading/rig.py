@@ -83,7 +83,7 @@ class FilmedPerson:
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras in one world of unknown unit, turned like the first camera, which is its origin."""
+    """Cameras in a world of unknown unit; its axes and origin are the first camera's."""
 
     T_camera_world: Float[np.ndarray, "views 4 4"]
     focal: Float[np.ndarray, " views"]
@@ -120,7 +120,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
         views, poses, places[:, used], speeds[:, used], seen[:, used]
     )
     places = (places + later[:, None, None] * speeds) / scale[:, None, None]
-    nearest = _nearest_points(poses, places, seen)
+    nearest = _triangulated(poses, places, seen)
     off = np.linalg.norm(_projected_points(poses, nearest) - places, axis=-1)
     error = float(np.median(off[seen & (seen.sum(0) >= 2)]))
     if error > _OFF:
@@ -226,7 +226,7 @@ def _first_poses(
         rest = [v for v in range(len(names)) if v not in poses]
         best = max(rest, key=lambda v: shared[v].sum())
         here = shared[best]
-        points = _nearest_points(
+        points = _triangulated(
             np.stack([poses[v] for v in known]), places[known][:, here], seen[known][:, here]
         )
         poses[best] = _pose_from_points(names[best], points, places[best, here])
@@ -268,12 +268,12 @@ def _pose_from_points(
     )
 
 
-def _nearest_points(
+def _triangulated(
     poses: Float[np.ndarray, "views 3 4"],
     places: Float[np.ndarray, "views points 2"],
     seen: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Points of which these are the images, NaN where fewer than two views see one."""
+    """Triangulate points from their images; NaN where fewer than two views see one."""
     points = nearest_to_rays(places, poses[:, None], seen)
     return np.where((seen.sum(0) >= 2)[:, None], points, np.nan)
 
@@ -297,7 +297,7 @@ def _bundle_adjusted(
     """Poses, focal length factors and delays (frames) of the views, by bundle adjustment."""
     view, point = np.nonzero(seen)
     ups = [one.up for one in views]
-    told = [v for v, up in enumerate(ups) if up is not None]
+    with_up = [v for v, up in enumerate(ups) if up is not None]
     stds = np.array([max(one.focal_std, _FOCAL_STD) for one in views])
 
     def cameras_and_points(values: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -313,14 +313,14 @@ def _bundle_adjusted(
         image = there[:, :2] / np.maximum(there[:, 2:], 1e-3) * np.exp(logs[view])[:, None]
         measured = places[view, point] + late[view, None] * speeds[view, point]
         off = [((image - measured) / _DETECTOR).ravel(), logs / stds, (late - late[0]) / _LATE_STD]
-        if len(told) > 1:
-            world = np.stack([found[v, :, :3].T @ ups[v] for v in told])
+        if len(with_up) > 1:
+            world = np.stack([found[v, :, :3].T @ ups[v] for v in with_up])
             off.append(((world - world.mean(0)) / _UP_STD).ravel())
         return np.concatenate(off)
 
     turns = Rotation.from_matrix(poses[:, :, :3]).as_rotvec()
     cameras = np.concatenate((turns, poses[:, :, 3], np.zeros((len(views), 2))), 1)
-    start = np.concatenate((cameras.ravel(), _nearest_points(poses, places, seen).ravel()))
+    start = np.concatenate((cameras.ravel(), _triangulated(poses, places, seen).ravel()))
     filled = _jacobian_sparsity(view, point, len(views), len(residuals(start)), len(start))
     # a robust loss, since detectors make a few large errors
     found = least_squares(

@@ -27,7 +27,7 @@ _TRUNK = (0.2, 0.9)
 """Metres between shoulder and hip of a side: children to the tallest adults."""
 
 
-def across_views(
+def person_across_views(
     views: Sequence[TrackedView], person: int | None, *, up_given: bool
 ) -> tuple[list[Track | None], tuple[str, ...]]:
     """The tracks of one person, one per view or None where it is not found, and the reasons.
@@ -59,7 +59,7 @@ def across_views(
     if len(groups) == 0:
         for turned, names in _with_flipped_y(views):
             if any(len(_TriangulatedPairs(turned).consistent_group(*seed)) > 1 for seed in seeds):
-                tracks, said = across_views(turned, person, up_given=up_given)
+                tracks, said = person_across_views(turned, person, up_given=up_given)
                 told = (
                     f"y of the keypoints of {names} points up, as rays meet only so: turned down"
                 )
@@ -86,11 +86,11 @@ def across_views(
         found = " and ".join(str(view.tracks[k]) for k in best.get(v, ()))
         none = "left out, the person of the other views is not found"
         notes.append(f"{view.name}: {found or none}")
-    return _tracks_of(views, best), tuple(notes)
+    return _merged_tracks_by_view(views, best), tuple(notes)
 
 
 def _with_flipped_y(views: Sequence[TrackedView]) -> Iterator[tuple[list[TrackedView], str]]:
-    """The views with reversed pixel y, in all views or in one, and words that say in which."""
+    """Yield the views with pixel y reversed in all, then in one each, and words that say where."""
     over = [
         replace(
             view,
@@ -109,8 +109,8 @@ def everybody_across_views(
     """Everybody found in two or more views, numbered as in the first view that shows them.
 
     Args:
-        views: as of `across_views`.
-        up_given: as of `across_views`.
+        views: as of `person_across_views`.
+        up_given: as of `person_across_views`.
 
     Returns:
         The tracks of every person, one per view or None, and who was left out.
@@ -137,7 +137,7 @@ def everybody_across_views(
         pairs.check_body(group, up_given=up_given)
         first = min(group)
         number = views[first].tracks[group[first][0]].number
-        found.append((number, _tracks_of(views, group)))
+        found.append((number, _merged_tracks_by_view(views, group)))
     if len(found) == 0:
         raise ObservationError(
             "no person found in one view is found in another; does each view have its own camera? "
@@ -146,7 +146,7 @@ def everybody_across_views(
     return found, notes
 
 
-def _tracks_of(
+def _merged_tracks_by_view(
     views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]]
 ) -> list[Track | None]:
     """One track of a person for every view, made of its pieces; None where the view has none."""
@@ -208,7 +208,7 @@ class _TriangulatedPairs:
         }
 
     def check_left_out_views(self, group: Mapping[int, tuple[int, ...]]) -> None:
-        """Check that a view that is left out shows other people, else refuse.
+        """Raise an error if a left-out view clearly shows somebody whom no other view shows.
 
         Raises:
             ValueError: when it shows somebody, as completely as the others show the person, who
@@ -233,7 +233,7 @@ class _TriangulatedPairs:
                     )
 
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
-        """Median error of a group; refuse one that disagrees, or not of human size and upright."""
+        """Return a group's error; refuse disagreeing views, a wrong body size or wrong up axis."""
         members = [(v, tracks[0]) for v, tracks in group.items()]
         made = [self.pair(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
         pair = min(made, key=lambda pair: pair.error)
@@ -263,7 +263,7 @@ class _TriangulatedPairs:
 
 
 def _best_track(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
-    """The best track and its continuations; short ones of similar error are left out.
+    """The best track and those that continue it; short rivals of similar error are left out.
 
     Raises:
         ValueError: when another that overlaps the best is about as good.

@@ -96,7 +96,7 @@ def frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     span = last - first + 1
     if span > _SPARSE * most or not fits_memory(span, most):
         raise ObservationError(
-            f"expected frame numbers that count frames, got {described}, of which {most} have a "
+            f"expected frame numbers without wide gaps, got {described}, of which {most} have a "
             "file; cut the recording at its gap, or number its frames one by one"
         )
     common = min(b for _, b in spans) - max(a for a, _ in spans) + 1
@@ -111,7 +111,7 @@ def frame_range(found: Sequence[Detections]) -> tuple[int, int]:
 
 
 def note_of_steps(found: Sequence[Detections]) -> tuple[str, ...]:
-    """Say that frames between evenly stepping frame numbers are unseen, where there are some."""
+    """Return a note if all frame numbers step by 2 or more: frames between them are unseen."""
     numbers = np.unique(np.concatenate([one.frame_numbers for one in found]))
     step = common_step(numbers)
     said = (
@@ -127,7 +127,7 @@ _SHOTS_LISTED = 8
 def cut_to_longest_shot(
     found: Detections, rate: float, between: tuple[float, float] | None
 ) -> tuple[Detections, tuple[int, int] | None, str]:
-    """The people of the shot of a film in which they are seen longest.
+    """Keep the detections in that shot of a film in which people are seen longest.
 
     Args:
         found: of one film.
@@ -194,7 +194,7 @@ def background_camera(
     """
     if camera.T_camera_world is not None or camera.path is not None:
         return camera, ""
-    camera, moved, said = _with_motion(found, camera, rate)
+    camera, moved, said = _with_focal_from_motion(found, camera, rate)
     if found.lines is None and moved is None:
         return camera, said
     from recon.films.vertical import find_vertical  # films only
@@ -243,20 +243,20 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
     return replace(camera, camera_matrix=matrix, focal_std=0.0)
 
 
-def _with_motion(
+def _with_focal_from_motion(
     found: Detections, camera: CameraArrays, rate: float
 ) -> tuple[CameraArrays, "CameraMotion | None", str]:
     """The camera with a focal length found from its motion, that motion, and a note on both."""
-    behind = found.background
-    if behind is None or len(behind.frame) == 0:
+    background = found.background
+    if background is None or len(background.frame) == 0:
         return camera, None, ""
     from recon.films.carrying import find_path  # films only
     from recon.films.turning import find_turning
 
     matrix = camera.camera_matrix
     focal = float(matrix[[0, 1], [0, 1]].mean())
-    pixels = undistorted_pixels(behind.pixels, camera) - matrix[:2, 2]
-    seen = behind.frame, behind.point, pixels, focal
+    pixels = undistorted_pixels(background.pixels, camera) - matrix[:2, 2]
+    seen = background.frame, background.point, pixels, focal
     moved = find_turning(*seen, focal_known=camera.focal_known)
     if moved is None:
         moved = find_path(*seen, focal_known=camera.focal_known, rate=rate)

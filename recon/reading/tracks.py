@@ -232,7 +232,7 @@ def nearest_to_rays(
     poses: Float[np.ndarray, "*poses 3 4"],
     seen: Bool[np.ndarray, "*rays"],
 ) -> Float[np.ndarray, "*points 3"]:
-    """The points in the world nearest to their rays; any place where fewer than two views see one.
+    """The points in the world nearest to their rays; meaningless if fewer than two views see one.
 
     A ray (u, v) of a camera with the pose P = [R | t] gives two equations, u P3 - P1 and
     v P3 - P2; the point is the right singular vector of least singular value (Hartley and
@@ -299,6 +299,6 @@ def _distance_from_rays(points: np.ndarray, track_rays: _TrackRays) -> np.ndarra
         + track_rays.pose[:, None, :3, 3]
     )
     front = local[..., 2] > 1e-6
-    again = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
-    miss = np.linalg.norm(again - track_rays.rays, axis=-1) * track_rays.scale[:, None]
+    projected = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
+    miss = np.linalg.norm(projected - track_rays.rays, axis=-1) * track_rays.scale[:, None]
     return np.where(front, miss, np.inf)

@@ -22,7 +22,7 @@ from recon.formats.cameras import (
 from recon.formats.observations import KeypointsFile
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import files_of_views, match_cameras, view_name
-from recon.reading.same_person import across_views
+from recon.reading.same_person import person_across_views
 from recon.reading.stated import (
     background_camera,
     camera_of_images,
@@ -42,7 +42,7 @@ _BORDER = 0.5
 
 @dataclass(frozen=True)
 class Views:
-    """One person as several cameras saw it."""
+    """The 2D keypoints of one person in the views of one or several cameras."""
 
     files: tuple[KeypointsFile, ...]
     """One per view, all of the same frames; a frame without the person has confidence zero."""
@@ -116,7 +116,7 @@ def read_views(
     carried: tuple[str, ...] = ()
     if track is not None:
         poses, reason = track.poses_at_frames(first, frames, fps)
-        carried = (_notes_of_views(track, reason),)
+        carried = (_note_on_track(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     level: list[str] = []
@@ -170,7 +170,7 @@ def check_calibrated(views: Sequence[Path], how: ReadOptions) -> None:
 def _camera_of_one_view(
     path: Path, known: Detections | None, track: CameraTrack | None, how: ReadOptions
 ) -> Calibration:
-    """The camera that a tracker states, else a phone's, for one view without calibration.
+    """The camera that a tracker states, else a typical phone's, for one uncalibrated view.
 
     Its images are as large as the tracker, the caller or the file says, else as the keypoints
     need.
@@ -209,7 +209,7 @@ def _camera_of_one_view(
     return Calibration({view_name(path): camera}, "m", said)
 
 
-def _notes_of_views(track: CameraTrack, matched: str) -> str:
+def _note_on_track(track: CameraTrack, matched: str) -> str:
     unit = "metres" if track.metric else "of unknown unit, estimated from standing feet"
     up = "its world is level" if track.level else "up is estimated from the person"
     return f"camera track of {track.producer}: {matched}; {unit}; {up}; the ground is unknown"
@@ -246,10 +246,10 @@ class SeenViews:
             if not (tracks := tracks_of_people(one)):
                 chosen_track(tracks, None, one.name)  # refuses it
             views.append(TrackedView(name, one.layout, camera, tracks, self.first_frame))
-        posed = [one.name for one in views if one.camera.T_camera_world is None]
-        if len(views) > 1 and posed:
+        unposed = [one.name for one in views if one.camera.T_camera_world is None]
+        if len(views) > 1 and unposed:
             raise ObservationError(
-                f"several views need the poses of their cameras; {', '.join(posed)} has none"
+                f"several views need the poses of their cameras; {', '.join(unposed)} has none"
             )
         return tuple(views)
 
@@ -281,7 +281,7 @@ class SeenViews:
         """
         views = self.tracked_views()
         if len(views) > 1:
-            return self.views(*across_views(views, number, up_given=self.up_given))
+            return self.views(*person_across_views(views, number, up_given=self.up_given))
         tracks = next(iter(views)).tracks
         track = chosen_track(tracks, number, self.found[0].name)
         who = "the only one" if len(tracks) == 1 else "given" if number is not None else "most"

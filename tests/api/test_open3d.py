@@ -71,7 +71,7 @@ def test_depth_images_have_their_camera(body):
     [
         ([SimpleNamespace(points=person(0))], {}, "give frame_rate"),
         ([SimpleNamespace(points=person(0)[:, :2])], {"frame_rate": 30.0}, "expected points"),
-        ([SimpleNamespace(points=np.zeros((0, 3)))], {"frame_rate": 30.0}, "no geometry has any"),
+        ([SimpleNamespace(points=np.zeros((0, 3)))], {"frame_rate": 30.0}, "in a geometry"),
         ([SimpleNamespace(points=1e9 * person(0))], {"frame_rate": 30.0}, "geometry 0"),
         ([SimpleNamespace(points=person(0)), depth_image()], {"frame_rate": 30.0}, "or only"),
         ([depth_image()], {"frame_rate": 30.0}, "pairs"),

@@ -8,7 +8,7 @@ import torch
 
 from recon.core.camera import Ground
 from recon.fitting.ground import LEVEL_CAMERA
-from recon.reading.images import keypoints_of, undistorted, undistorted_camera
+from recon.reading.images import keypoints_of, undistorted_camera, undistorted_keypoints
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
@@ -28,7 +28,7 @@ def test_a_lens_is_taken_out_once():
     seen = file.confidence > 0
     assert np.abs(file.pixels - perfect.pixels)[seen].max() > 2  # pixels
     # OpenCV's own iteration ends at a few hundredths of a pixel
-    np.testing.assert_allclose(undistorted(file)[seen], perfect.pixels[seen], atol=0.1)
+    np.testing.assert_allclose(undistorted_keypoints(file)[seen], perfect.pixels[seen], atol=0.1)
     view = keypoints_of(file, bundled())
     assert view.camera.distortion is None
     points = view.points.of(bundled().pose(truth))[None]
