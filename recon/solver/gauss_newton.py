@@ -26,7 +26,7 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_FASTEST = 0.1  # smallest ratio expected between the gains of successive steps
+_FASTEST = 0.1  # ratio of a step's gain to that of the step before, if it converges fastest
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
@@ -106,7 +106,7 @@ def minimise(
         model = problem.model(x, active)
         here = [runs[row] for row in active.tolist()]
         for run, terms in zip(here, model.value.double().cpu(), strict=True):
-            run.begin(terms)
+            run.begin_iteration(terms)
         x = _step_all(problem, x, active, model, here, options)
         active = active[[run.end is None for run in here]]
         if len(active) == 0:
@@ -117,7 +117,7 @@ def minimise(
             break
     if options.max_iterations == 0:
         for run, terms in zip(runs, problem.value(x, active).double().cpu(), strict=True):
-            run.begin(terms)
+            run.begin_iteration(terms)
     return x, _solution_of_runs(runs)
 
 
@@ -160,7 +160,7 @@ class _ProblemRun:
     gain: float = 0.0  # by how much the last step lowered the objective
     end: Termination | None = None
 
-    def begin(self, terms: Float[Tensor, " terms"]) -> None:
+    def begin_iteration(self, terms: Float[Tensor, " terms"]) -> None:
         """Record the terms at the start of an iteration."""
         self.evaluations += 1
         self.trace = self.trace or [terms]

@@ -20,7 +20,7 @@ Their sum over terms is minimised. Differentiable in the first argument; rows ar
 
 
 class Termination(enum.Enum):
-    """Reasons why an element is finished; the value is the sentence that a user reads."""
+    """Reasons why the minimisation of an element ended, each with the sentence for the user."""
 
     CONVERGED = "the objective's relative decrease fell below its tolerance"
     GRADIENT = "the gradient fell below its tolerance"
