@@ -124,7 +124,7 @@ class _RayDistances(Problem[Float[np.ndarray, "4"]]):
     """Largest clock offset (frames), if it is unknown."""
 
     def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Return a quadratic model of the distances (reweighted); flat if too little is seen."""
+        """Model the distances' robust cost as quadratic; flat if too little is seen."""
         unknown, late, turn = self.unknown, float(x[0]), x[1:]
         ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
         away, *ends = _distances_of_rays(self.images, late, turn, *(ends if 1 in unknown else ()))
