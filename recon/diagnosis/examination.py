@@ -83,7 +83,7 @@ class CheckedClip:
     """The observations of one clip, and the findings of the checks so far."""
 
     observations: tuple[Sensor, ...]
-    """Data of each sensor, batch axis of length one: as repaired so far; later, as fitted."""
+    """Data of each sensor with a batch axis of length one, as repaired so far or as fitted."""
     names: tuple[str, ...]
     """Names of the sensors, for messages."""
     options: FitOptions

@@ -31,8 +31,8 @@ from recon.diagnosis.images import Images
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.odds import (
     checked_against_each_other,
+    mirrored_or_scaled_view_corrected,
     mirroring_repaired,
-    single_view_explained,
 )
 from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import without_implausible
@@ -367,7 +367,7 @@ def screen_group(images: Images) -> tuple[Images, Findings]:
         images, more = repaired_outliers(images)
         found += more
     names = (
-        mirroring_repaired, single_view_explained, repaired_by_rays, repaired_names,
+        mirroring_repaired, mirrored_or_scaled_view_corrected, repaired_by_rays, repaired_names,
         repaired_sides, repaired_pairs,
     )  # fmt: skip
     images, more = run_checks(images, names)

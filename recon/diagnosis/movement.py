@@ -239,7 +239,7 @@ def belt_velocity(
     if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
-    # number of each foot's lowest part: its heel or its toes
+    # which part of each foot is lower: 0 the heel, judged by the ankle; 1 the toes
     lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
     steps = np.diff(feet[..., :2], axis=0) * movement.fps
     velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]

@@ -107,7 +107,7 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
     return flipped, Finding("mirrored", said, value=given), other <= usual
 
 
-def single_view_explained(images: Images) -> tuple[Images, Findings]:
+def mirrored_or_scaled_view_corrected(images: Images) -> tuple[Images, Findings]:
     """Correct a view that agrees with the others only when mirrored or scaled.
 
     This precedes the checks of names, as wrong pixels make names look wrong.
@@ -124,12 +124,12 @@ def _one_view_corrected(
     usual, best = _MISS_STDS * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):
-        odd = DoubtedView.of(images, v)
-        before = odd.median_ray_distance()
+        doubted = DoubtedView.of(images, v)
+        before = doubted.median_ray_distance()
         if before < _SUSPECT_RATIO * usual or usual == 0:
             continue
         rest = ray_distance(images.view([k for k in range(len(images.names)) if k != v]))
-        chosen = _simplest_explanation(odd.corrected_by_cause(causes))
+        chosen = _simplest_explanation(doubted.corrected_by_cause(causes))
         if max(rest, chosen.remains) <= usual and rest + chosen.remains < best:
             code, what, _ = _CAUSES[chosen.cause]
             text = (
@@ -189,19 +189,19 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
     views = range(len(images.names))
     rest = [ray_distance(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))
-    odd, name = DoubtedView.of(images, v), images.names[v]
-    before, agree = odd.median_ray_distance(), 0 < rest[v] <= _MISS_STDS * noise
+    doubted, name = DoubtedView.of(images, v), images.names[v]
+    before, agree = doubted.median_ray_distance(), 0 < rest[v] <= _MISS_STDS * noise
     hidden = np.zeros_like(images.seen)
     if before > _MIN_ODDS_M:
         hidden[v], frames, size = True, (), before
-        least = _simplest_explanation(odd.corrected_by_cause(tuple(_CAUSES)))
+        least = _simplest_explanation(doubted.corrected_by_cause(tuple(_CAUSES)))
         clear = least.remains < _MAX_MIRRORED_RATIO * before
         hint = _CAUSES[least.cause][2] if clear else _OTHER_PERSON
         said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"
         left_out = f"{said}, while they agree with each other; it was left out. {hint}"
         warned = f"{said}. {hint}"
     else:
-        miss = odd.ray_distances()
+        miss = doubted.ray_distances()
         away = np.array([np.median(row[known]) if known.any() else 0.0
                          for row, known in zip(miss, np.isfinite(miss), strict=True)])  # fmt: skip
         hidden[v] = long_runs(away > _STRETCH_MISS_M, round(_MIN_STRETCH_S * images.fps))[:, None]

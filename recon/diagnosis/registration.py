@@ -113,7 +113,7 @@ class ViewCorrection:
         """Distance (m) by which the centre of the camera is shifted."""
         return float(np.linalg.norm(self.values[4:]))
 
-    def applied(self, images: Images) -> Images:
+    def applied_to(self, images: Images) -> Images:
         """Apply the correction to this view, and return all views."""
         pose = images.pose.copy()
         pose[self.view] = self.pose
@@ -182,7 +182,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
         return self.is_determined and gain > _MAX_CLEAN_GAIN
 
-    def solved(self) -> ViewCorrection | None:
+    def best_correction(self) -> ViewCorrection | None:
         """Find the correction with the least residuals; None if the data do not determine it."""
         if not self.is_determined:
             return None

@@ -78,7 +78,7 @@ class _SingleFit:
             places=below @ back[:3, :3].T + back[:3, 3],
         )
 
-    def zoomed(self, focal: float) -> Float[np.ndarray, "places 3"]:
+    def places_for(self, focal: float) -> Float[np.ndarray, "places 3"]:
         """Return the sole points (m) for another focal length, which moves them in depth."""
         return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
 
@@ -96,7 +96,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
     alone = [_SingleFit.of(one) for one in results]
     seen = np.array([one.motion.frames for one in results], float)
     focal = float(np.exp(np.average([np.log(one.focal) for one in alone], weights=seen)))
-    places = [one.zoomed(focal) for one in alone]
+    places = [one.places_for(focal) for one in alone]
     (view,) = views_of(results[0].examined.fit.observations)
     upright = _LEVEL if view.level else _UPRIGHT
     normal, above, factors = _common_ground(places, [one.up for one in alone], upright)

@@ -36,11 +36,11 @@ class Quadratic:
     """Second-order models of several objectives at a state: value, gradient, Hessian."""
 
     value: Float[Tensor, "rows terms"]
-    """Weighted terms, E is their sum; no columns where there is no objective."""
+    """Weighted terms, whose sum is the objective; no columns where there is none."""
     gradient: Float[Tensor, "rows n"]
-    """g; the order of variables is that of a vector beside a `Banded` matrix."""
+    """Gradient g, its variables ordered as in a vector beside a `Banded` matrix."""
     hessian: Sequence[Banded]
-    """H of every problem, n rows and columns, not changed by the solver."""
+    """Hessian H of every problem, n rows and columns; the solver does not change it."""
 
 
 class Problem(ABC, Generic[X]):
@@ -72,9 +72,9 @@ class GaussNewton:
     max_iterations: int = 50
     tolerance: float = 1e-4
     """A problem has converged when the next step is expected to lower its objective by no more
-    than this share of it: gains shrink by the factor by which the last one did, or by ten."""
+    than this share. Its gain is extrapolated from the last two, to a tenth of the last or more."""
     scale: float = 0.0
-    """Objective, in its own unit, below which decreases are taken relative to this instead."""
+    """Value of the objective below which its decreases are taken relative to this value."""
     damping: float = 1e-3
     """Share of the Hessian's diagonal that it is raised by at first."""
     max_damping: float = 1e6
