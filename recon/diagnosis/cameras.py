@@ -210,7 +210,7 @@ def _speed_quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: 
 def _slowest_speeds(
     images: Images, lag: float
 ) -> tuple[Float[np.ndarray, " moments"], float] | None:
-    """Return the speed of the slowest part of the feet in every frame, and that of noise.
+    """Return the speed of the slowest part of the feet in every frame, and that due to noise.
 
     Both are in m/s at the person, computed over a time lag (s); the second is the speed that
     keypoint noise gives a resting foot. None where feet are hardly seen.

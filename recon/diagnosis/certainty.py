@@ -105,10 +105,10 @@ def _ground_uncertainty(found: ClipFit) -> GroundBelief | None:
     if found.ground_known:
         return GroundBelief(_STANCE_STD_M, _LEAN_STD_RAD, 0)
     level = frame_is_level(found.observations)
-    shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
+    precision = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
     knows = found.result.reports[-1].stage.prior.knows_gravity
     upright = _LEAN_STD_RAD if knows else _LEAN_STD_NO_GRAVITY_RAD
-    return GroundBelief(_STANCE_STD_M, upright, 1 if level else 3, shown)
+    return GroundBelief(_STANCE_STD_M, upright, 1 if level else 3, precision)
 
 
 def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def repaired_pairs(images: Images) -> tuple[Images, Findings]:
 def _confirmed_pairs(
     images: Images, found: list[ExchangedPair]
 ) -> tuple[list[ExchangedPair], list[ExchangedPair]]:
-    """Return the exchanges in one view whose undoing improves a fit, and the other ones."""
+    """Return the exchanges in one view whose undoing improves a fit, and those left doubtful."""
     sure, doubted = list[ExchangedPair](), list[ExchangedPair]()
     for (first, last), own in _pairs_by_stretch(found).items():
         after = exchanged_back(images, own)

@@ -52,7 +52,7 @@ class DoubtedView:
 
     @classmethod
     def of(cls, images: Images, view: int) -> "DoubtedView":
-        """Triangulate the points of all other views, to compare one view with."""
+        """Triangulate points from all other views, for comparison with one view."""
         rest = [v for v in range(len(images.names)) if v != view]
         return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
@@ -63,7 +63,7 @@ class DoubtedView:
         return np.where(there, one.distances_from(self.points)[0], np.nan)
 
     def median_ray_distance(self, images: Images | None = None) -> float:
-        """Return the median distance (m) of the view's rays from the others' points."""
+        """Return the median distance (m) of the view's rays from the points of other views."""
         away = self.ray_distances(images)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 

@@ -251,7 +251,7 @@ def undoing_improves_fit(
 
 
 def fits_better_exchanged(images: Images, share: float) -> bool:
-    """Whether a body fits one view clearly better with all left and right exchanged.
+    """Whether a body fits one view clearly better with all names of left and right exchanged.
 
     Knees, feet and the face tell the front from the back, and so the sides. The exchange must
     reduce the objective below `share` of its value, in fits at 15 Hz and then at up to 60 Hz: a

@@ -55,7 +55,7 @@ Seen = Bool[np.ndarray, "moments points"]
 
 
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
-    """Mark keypoints at (0, 0) as unseen, as missing ones are often written so."""
+    """Mark keypoints at (0, 0) as unseen, since files often write missing keypoints like that."""
 
     def finding(view: int, zeros: Seen) -> Finding:
         share, points = (
@@ -206,7 +206,7 @@ def _all_outliers(
 def _far_from_median(
     images: Images, reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """Return a mask of keypoints far from their median over the frames around them."""
+    """Return a mask of keypoints far from their median over the neighbouring frames."""
     seen, place = images.seen, images.shown
     if seen.shape[1] <= 2 * reach:
         return np.zeros_like(seen)

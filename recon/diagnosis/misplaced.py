@@ -180,7 +180,7 @@ def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
-    """Find left-right pairs of points that jump to each other's place and back, with frames."""
+    """Find left-right pairs of points that jump to each other's place and back, and the frames."""
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])

@@ -240,7 +240,7 @@ class Factor:
     def _frames_and_border(
         self, numbers: Float[Tensor, " numbers"]
     ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
-        """Split a vector into the numbers of the frames and those of the border."""
+        """Split a vector into the variables of the frames and those of the border."""
         time, n = self._frames
         return numbers[: time * n].view(time, n), numbers[time * n :]
 

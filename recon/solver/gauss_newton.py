@@ -44,7 +44,7 @@ class Quadratic:
 
 
 class Problem(ABC, Generic[X]):
-    """A batch of problems that do not depend on each other; `rows` are numbers of some of them."""
+    """A batch of independent problems; the arguments `rows` are indices of some of them."""
 
     @abstractmethod
     def model(self, x: X, rows: Int[Tensor, " rows"]) -> Quadratic:

@@ -89,7 +89,7 @@ def joined_in_turn(solutions: Sequence[Solution]) -> Solution:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread, and on as many as before afterwards.
+    """Run torch on one thread, then restore the number of threads.
 
     Batches of small matrices gain nothing from several: threads that wait for each other spin, and
     where other processes want the processors too, that costs many times the work.
