@@ -124,7 +124,7 @@ def stretches(
     return tuple((first, stop - 1) for first, stop in runs_of_true(flags) if stop - first >= least)
 
 
-def long_runs(flags: Bool[np.ndarray, " frames"], least: float) -> Bool[np.ndarray, " frames"]:
+def long_runs(flags: Bool[np.ndarray, " time"], least: float | int) -> Bool[np.ndarray, " time"]:
     """Return a mask that is true only in runs of at least `least` true values."""
     out = np.zeros_like(flags)
     for first, last in stretches(flags, least):
