@@ -90,16 +90,16 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # no effect if the first guess labelled the points
-    outside, far = uncovered_surface_share(cloud, estimate) or 0.0, quantiles[1]
+    cloud = cloud.labelled()  # a cloud that has labels already stays as it is
+    outside, ninth_decile = uncovered_surface_share(cloud, estimate) or 0.0, quantiles[1]
     labelled = distance_from_labelled_places(cloud, estimate) or 0.0
     on_body = 1.0
     if cloud.labels is not None and bool(cloud.present.any()):
         on_body = float(cloud.labels.on_body[cloud.present].mean())
     noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
     reasons = {
-        f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
-            far > math.hypot(_MAX_FAR_M, _MAX_FAR_STDS * noise)
+        f"a tenth of the points is more than {100 * ninth_decile:.0f} cm away from it": (
+            ninth_decile > math.hypot(_MAX_FAR_M, _MAX_FAR_STDS * noise)
         ),
         f"{100 * outside:.0f} % of its surface lies where the sensor saw no body": (
             outside > _MAX_SHARE_OUTSIDE
@@ -118,7 +118,7 @@ def basin_findings(
             f"{', and '.join(said)}. The posture or the heading may be a wrong one, much is "
             f"hidden, or the {'scale or up axis' if cloud.camera is None else 'depth scale'} is "
             "wrong; look at the result (recon view --obs), or add 2D keypoints",
-            value=max(far, outside, labelled),
+            value=max(ninth_decile, outside, labelled),
         )
     ]
 

@@ -87,8 +87,8 @@ def size_is_unknown(found: ClipFit) -> bool:
     if found.ground_known or len(views) == 0 or len(views) < len(found.observations):
         return False
     stages = [report.stage for report in found.result.reports]
-    given = any(term.name in _SIZE_TERMS for stage in stages for term in stage.terms)
-    if given or not any("shape" in stage.free for stage in stages):
+    size_given = any(term.name in _SIZE_TERMS for stage in stages for term in stage.terms)
+    if size_given or not any("shape" in stage.free for stage in stages):
         return False
     alike = views_on_one_clock(views)
     return len(alike) == 1 or not can_triangulate(alike)
@@ -102,9 +102,9 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     """
     estimate = found.result.estimate
     body = estimate.body.model.to(dtype=torch.float64)
-    along = _height_direction(body, estimate.motion.shape[0].detach().double())
+    gradient = _height_gradient(body, estimate.motion.shape[0].detach().double())
     tall = float(body.height(estimate.motion.shape[0].detach().double()))
-    factor = float(along.norm()) / tall
+    size_std = float(gradient.norm()) / tall
     camera = views_of(found.observations)[0].camera
     eye = camera.T_world_camera[0].reshape(-1, 4, 4)[:, :3, 3].mean(0)
     joints = estimate.scene.to_recording(estimate.body.joints)[0].detach()
@@ -112,19 +112,19 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     ground = deviations.ground
     if ground is not None:
         above = float((found.T_world_recording[0].to(eye) @ torch.cat((eye, eye.new_ones(1))))[2])
-        spread = (ground.height**2 + (factor * above) ** 2) ** 0.5
+        spread = (ground.height**2 + (size_std * above) ** 2) ** 0.5
         ground = replace(ground, height=spread)
-    shape = (along / along.norm()).to(deviations.shape)
+    shape = (gradient / gradient.norm()).to(deviations.shape)
     return replace(
         deviations,
-        # the error is along the camera's ray: each axis gets a third of its variance
-        joints=(deviations.joints.square() + (factor * distance).square() / 3).sqrt(),
+        # the error lies along the camera's ray; its variance is divided equally among three axes
+        joints=(deviations.joints.square() + (size_std * distance).square() / 3).sqrt(),
         shape=(deviations.shape.square() + shape.square()).sqrt(),
         ground=ground,
     )
 
 
-def _height_direction(body: BodyModel, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
+def _height_gradient(body: BodyModel, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
     """Return the change of body height (m) per standard deviation of every shape coefficient."""
     steps = shape + _STEP * torch.eye(len(shape)).to(shape)
     return torch.stack([(body.height(one) - body.height(shape)) / _STEP for one in steps])
@@ -171,17 +171,17 @@ class SlowestFootSpeeds:
     noise."""
     noise: float
     """Speed (m/s) that keypoint noise alone makes a resting keypoint appear to have."""
-    flying: float
+    top_speed: float
     """Speed (m/s) that is exceeded in `_FLYING_SHARE` of the frames only, as in flight."""
-    brief: float
+    brief_speed: float
     """Speed (m/s) over the time `_BRIEF_S` that is undercut in `_BRIEF_SHARE` of the frames,
     corrected for keypoint noise."""
 
     @property
     def camera_moves(self) -> bool:
         """Whether the camera surely moves: even resting feet move in the image."""
-        never_rests = self.brief > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.flying)
-        return self.speed > _MOVING_M_S and (self.flying < _FLYING_M_S or never_rests)
+        never_rests = self.brief_speed > max(_NEVER_RESTS_M_S, _NEVER_RESTS_SHARE * self.top_speed)
+        return self.speed > _MOVING_M_S and (self.top_speed < _FLYING_M_S or never_rests)
 
     @property
     def camera_may_move(self) -> bool:
@@ -197,8 +197,8 @@ def slowest_foot_speeds(images: Images) -> SlowestFootSpeeds | None:
     return SlowestFootSpeeds(
         speed=_speed_quantile(*usual, _MIN_RESTING_SHARE),
         noise=usual[1],
-        flying=float(np.quantile(usual[0], 1 - _FLYING_SHARE)),
-        brief=_speed_quantile(*brief, _BRIEF_SHARE),
+        top_speed=float(np.quantile(usual[0], 1 - _FLYING_SHARE)),
+        brief_speed=_speed_quantile(*brief, _BRIEF_SHARE),
     )
 
 
@@ -210,7 +210,7 @@ def _speed_quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: 
 def _slowest_speeds(
     images: Images, lag: float
 ) -> tuple[Float[np.ndarray, " moments"], float] | None:
-    """Return the speed of the slowest part of the feet in every frame, and that of noise.
+    """Return the speed of the slowest part of the feet in every frame, and that due to noise.
 
     Both are in m/s at the person, computed over a time lag (s); the second is the speed that
     keypoint noise gives a resting foot. None where feet are hardly seen.
@@ -232,7 +232,7 @@ def _slowest_speeds(
     known = np.isfinite(slowest)
     if known.sum() < _MIN_SEEN_S * images.fps:
         return None
-    # mean size of the second difference in time of both image coordinates
+    # second differences in time show noise: their mean absolute value over both coordinates
     jitter = np.abs(np.diff(place, 2, axis=1)).mean(-1)[:, half - 1 : place.shape[1] - half - 1]
     spread = np.nanmedian(jitter[which, np.arange(len(which))][known]) / NORMAL_MAD / np.sqrt(6)
     noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))

@@ -60,14 +60,14 @@ def standing_soles(
         return np.zeros((0, 2)), np.zeros((0, 2))
     now = slice(half, movement.frames - half)
 
-    def speed(path: np.ndarray) -> np.ndarray:
+    def velocity(path: np.ndarray) -> np.ndarray:
         return (path[2 * half :] - path[: -2 * half]) * movement.fps / (2 * half)
 
     heights = movement.sole_heights[now]
-    rising = np.maximum(*(abs(speed(p)[..., 2]) for p in (movement.ankles, movement.toes)))
+    rising = np.maximum(*(abs(velocity(p)[..., 2]) for p in (movement.ankles, movement.toes)))
     low = heights < heights.min(1, keepdims=True) + _MAX_HEIGHT_DIFFERENCE_M
     standing = low & (rising < _MAX_VERTICAL_M_S) & (True if observed is None else observed[now])
-    places, velocities = movement.soles[now], speed(movement.soles)
+    places, velocities = movement.soles[now], velocity(movement.soles)
     return (
         places[standing][..., :2].reshape(-1, 2),
         velocities[standing][..., :2].reshape(-1, 2),
@@ -80,7 +80,7 @@ def _misfit_of_rigid_motion(
     *,
     turning: bool,
 ) -> tuple[float, float]:
-    """Fit one planar rigid motion to the soles' velocities; return its mean Cauchy loss and rate.
+    """Fit one planar rigid motion to the soles' velocities; return mean Cauchy loss and turn rate.
 
     The rate is the angular velocity about the vertical, rad/s, counterclockwise seen from above;
     zero unless `turning`. Outlying samples have little weight.

@@ -38,12 +38,12 @@ MOST = 360 / 12**0.5
 
 
 def isb_derivatives(body: BodyModel) -> Measure | None:
-    """Return a function for derivatives of ISB angles by rotations; None for other bodies."""
+    """Return a function for derivatives of ISB angles by rotations; None without landmarks."""
 
     def derivatives(motion: Motion) -> Float[Tensor, "time angles 66"]:
         return torch.from_numpy(isb_angle_derivatives(motion, body)).to(motion.translation)
 
-    # landmarks are only defined on the bundled body
+    # the angles need landmarks, which are only defined on the bundled body
     return derivatives if body.checksum == BodyModel.load().checksum else None
 
 
@@ -105,21 +105,21 @@ def _ground_uncertainty(found: ClipFit) -> GroundBelief | None:
     if found.ground_known:
         return GroundBelief(_STANCE_STD_M, _LEAN_STD_RAD, 0)
     level = frame_is_level(found.observations)
-    shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
+    precision = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
     knows = found.result.reports[-1].stage.prior.knows_gravity
     upright = _LEAN_STD_RAD if knows else _LEAN_STD_NO_GRAVITY_RAD
-    return GroundBelief(_STANCE_STD_M, upright, 1 if level else 3, shown)
+    return GroundBelief(_STANCE_STD_M, upright, 1 if level else 3, precision)
 
 
 def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
     """Return standard deviations for the report: medians of joints and root, shape, ground."""
-    every = deviations.joints.median(0).values.tolist()
+    of_joints = deviations.joints.median(0).values.tolist()
     ground = deviations.ground
     found = ground and {"normal_degrees": ground.normal_degrees, "height": ground.height}
     return {
         **({} if joints is None else asdict(joints)),
         **({} if ground is None else {"ground": found}),
-        "joints": dict(zip(JOINTS, every, strict=True)),
+        "joints": dict(zip(JOINTS, of_joints, strict=True)),
         "root": float(deviations.root.median()),
         "shape": deviations.shape.tolist(),
     }
@@ -145,8 +145,8 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     heights = rest_heights(posed.model, motion.shape)
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
-    held = not fit.result.reports or fit.result.reports[-1].stage.prior.knows_gravity
-    std = (_HEIGHT_STD_RATIO if held else _FREE_STD_RATIO) * deviations.joints[: motion.frames]
+    gravity = not fit.result.reports or fit.result.reports[-1].stage.prior.knows_gravity
+    std = (_HEIGHT_STD_RATIO if gravity else _FREE_STD_RATIO) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))
 
 

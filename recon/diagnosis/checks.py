@@ -37,9 +37,9 @@ from recon.diagnosis.findings import (
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import (
     height_findings,
+    in_belt_frame,
     support_findings,
     treadmill_finding,
-    with_belt,
 )
 from recon.diagnosis.points import screen_points
 from recon.fitting.records import ClipFit
@@ -88,7 +88,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
         "was fitted in the frame of the belt and carried back to the room",
         value=speed,
     )
-    carried = tuple(with_belt(one, clip.belt) for one in tracked)
+    carried = tuple(in_belt_frame(one, clip.belt) for one in tracked)
     return replace(clip, observations=carried), Findings((said,))
 
 
@@ -219,7 +219,7 @@ _MAX_SOLE_HEIGHT_M = 0.15
 
 
 def body_findings(found: ClipFit) -> Findings:
-    """Return warnings of an implausible size or of floating, which wrong cameras or units cause.
+    """Return warnings that the fitted body has an implausible size or stands off a known ground.
 
     Where no camera and no ground determines the size, the prior does, and nothing is reported.
     Points in metres that a small body fits show a child, which is no fault of the data.
@@ -227,7 +227,7 @@ def body_findings(found: ClipFit) -> Findings:
     posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
     odd = float(posed.shape.abs().max())
-    # a shape outside the human range may come from markers that are not really on the skin
+    # markers declared as on the skin may stand off it: shapes then vary in a larger range
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = _likely_causes(found.observations)
     said = height_findings(tall, sizes, may_be_child=not views)
@@ -249,7 +249,7 @@ def body_findings(found: ClipFit) -> Findings:
 
 @after_fit("view")
 def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
-    """Warn of images that agree better when mirrored, unless the checks before the fit did."""
+    """Warn of images that agree better when mirrored, unless checks before the fit have."""
     from recon.diagnosis.keypoints import grouped_views
     from recon.diagnosis.odds import mirror_warnings
 
@@ -264,8 +264,7 @@ def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 @after_fit()
 def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
-    # if feet are fitted off the calibrated ground, the calibration is probably not in metres, and
-    # then falls and steps say nothing about the frame rate
+    # feet off the calibrated ground mean wrong units, under which falls show no frame rate
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )
@@ -286,7 +285,7 @@ first guesses leave smaller differences, which the final fit removes."""
 
 @after_fit()
 def other_motions(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
-    """Warn of the likeliest alternative motion if it explains the data nearly as well."""
+    """Warn of the likeliest rejected motion if it explains the data nearly as well as the fit."""
     close = [
         one
         for one in clip.alternatives
@@ -312,7 +311,7 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     if (rate := max(one.fps for one in clip.observations)) < FEW_MOMENTS:
         said = (
             f"only {rate:.2g} moments a second were seen: steps and turns between them are "
-            "guessed, and speeds and contacts, which no check looked at, are not to be trusted; "
+            "guessed, and speeds and contacts were not checked and are not to be trusted; "
             f"give the whole recording, with {FEW_MOMENTS:g} moments a second or more"
         )
         rare = (Finding("few moments", said, value=rate),)

@@ -39,9 +39,9 @@ def exchanged_frames(
         mirrored: the same with the limbs exchanged.
     """
     both = torch.stack((rotations, mirrored), 1).double()
-    # axes: time, hypothesis of the frame, hypothesis of the frame before, joints, 3, 3
+    # axes: time, exchanged or not, the frame before exchanged or not, joints, 3, 3
     step = both[1:, :, None] - both[:-1, None, :]
-    squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
+    squared = step.square().sum((-1, -2)).mean(-1) / 2  # squared angle (radians²), if it is small
     switch = _SWITCH_RAD**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _EXCHANGED_COST]).expand(len(both), 2)
     return cheapest_path(here[None], (squared + switch).mT)[0].bool()
@@ -87,7 +87,7 @@ _LIMBS = {
 def as_measurement(
     motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
 ) -> tuple[EstimatedPoints, Motion, Findings]:
-    """Convert a network's motion to observed points with noise and jumps, to be fitted.
+    """Convert a network's motion to points to be fitted, with estimates of their noise and jumps.
 
     Args:
         motion: estimated motion, z up, of a shape of this body; without a batch axis.

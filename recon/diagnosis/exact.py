@@ -44,7 +44,7 @@ def unchanged(
 
 
 def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """Mark points at the origin as unseen, except a root that is always there."""
+    """Mark points at the origin as unseen, except a root that is at the origin in all frames."""
     zero = points.visible & (points.positions == 0).all(-1)
     root = zero.any(0) & (zero | ~points.visible).all(0)
     others = np.linalg.norm(points.without(zero).centre, axis=-1)
@@ -93,8 +93,7 @@ def repaired_frozen(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     moved, hidden = step.max(1) > _MIN_STEP_M, np.zeros_like(same)
     computed = temporal_noise(points) < _MAX_COMPUTED_NOISE_M
     for point, bone in enumerate(points.bones):
-        # two points may well stay in place: a standing foot in data without noise, and the root of
-        # root-relative points, which is always zero
+        # noise-free standing feet, and a root that is the origin in all frames, may stay in place
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
         for first, last in stretches(same[:, point], _MIN_EQUAL_FRAMES - 1):
@@ -136,7 +135,7 @@ _MIN_FEET_SHARE = 0.3
 
 
 def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
-    """Return the ground's height (m) under a quick fit; zero if z = 0 is plausible or unknown.
+    """Return the ground's height (m) from a quick fit; 0 if z = 0 is plausible or feet are unseen.
 
     It is unknown where feet are hidden or none that is seen ever stands: hidden feet, as in a
     handstand, say nothing about the floor. Nor does a quick fit whose soles are far from the

@@ -83,7 +83,7 @@ class CheckedClip:
     """The observations of one clip, and the findings of the checks so far."""
 
     observations: tuple[Sensor, ...]
-    """Data of each sensor, batch axis of length one: as repaired so far; later, as fitted."""
+    """Data of each sensor with a batch axis of length one, as repaired so far or as fitted."""
     names: tuple[str, ...]
     """Names of the sensors, for messages."""
     options: FitOptions
@@ -195,10 +195,10 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
     A check that was declared for kinds of sensors is skipped for clips without these.
     """
     kinds = ("named", "view", "cloud")
-    there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
-    there.add("any")
-    asked = [one for one in checks if there.intersection(getattr(one, "sees", ()) or ("any",))]
-    clip, found = run_checks(clip, asked)
+    given = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
+    given.add("any")
+    suited = [one for one in checks if given.intersection(getattr(one, "sees", ()) or ("any",))]
+    clip, found = run_checks(clip, suited)
     return replace(clip, found=clip.found + found)
 
 
@@ -213,7 +213,7 @@ def before_fit(*sensor_kinds: str) -> Callable[[BeforeFit], BeforeFit]:
 
 
 def after_fit(*sensor_kinds: str) -> Callable[[AfterFit], AfterFit]:
-    """Decorate a function as a check of the fit; `sensor_kinds` is as for `before_fit`."""
+    """Decorate a function as a check of the fit of clips with some of these kinds of sensors."""
     return partial(_with_attributes, sees=sensor_kinds, comes_before_fit=False)
 
 

@@ -66,7 +66,7 @@ def repaired_pairs(images: Images) -> tuple[Images, Findings]:
 def _confirmed_pairs(
     images: Images, found: list[ExchangedPair]
 ) -> tuple[list[ExchangedPair], list[ExchangedPair]]:
-    """Return the exchanges in one view whose undoing improves a fit, and the other ones."""
+    """Return the exchanges in one view whose undoing improves a fit, and those left doubtful."""
     sure, doubted = list[ExchangedPair](), list[ExchangedPair]()
     for (first, last), own in _pairs_by_stretch(found).items():
         after = exchanged_back(images, own)
@@ -88,17 +88,17 @@ def _pairs_by_stretch(
 
 
 def repaired_by(
-    images: Images, found: Sequence[ExchangedPair], why: str
+    images: Images, found: Sequence[ExchangedPair], reason: str
 ) -> tuple[Images, Findings]:
     """Return images with exchanged pairs put right, and findings with the given reason."""
-    return exchanged_back(images, found), Findings(_pair_findings(images, found, why))
+    return exchanged_back(images, found), Findings(_pair_findings(images, found, reason))
 
 
 def _pair_findings(
-    images: Images, found: Sequence[ExchangedPair], why: str, *, sure: bool = True
+    images: Images, found: Sequence[ExchangedPair], reason: str, *, sure: bool = True
 ) -> tuple[Finding, ...]:
     return tuple(
-        _pair_finding(images, why, view, *stretch, own, sure=sure)
+        _pair_finding(images, reason, view, *stretch, own, sure=sure)
         for view in range(len(images.names))
         for stretch, own in _pairs_by_stretch([one for one in found if one.view == view]).items()
     )
@@ -116,7 +116,7 @@ def exchanged_back(images: Images, found: Sequence[ExchangedPair]) -> Images:
 
 def _pair_finding(
     images: Images,
-    why: str,
+    reason: str,
     view: int,
     first: int,
     last: int,
@@ -129,10 +129,10 @@ def _pair_finding(
     frames = () if throughout else ((first, last),)
     when = "throughout" if throughout else f"in {spans(frames)}"
     said = (
-        f"{listed(names)} have each other's name {when}, as {why}; names were exchanged back"
+        f"{listed(names)} have each other's name {when}, as {reason}; names were exchanged back"
         if sure
-        else f"{listed(names)} may have each other's name {when}: {why}. One view does not tell "
-        "for sure, and they kept their names; look at these frames"
+        else f"{listed(names)} may have each other's name {when}: {reason}. One view does not "
+        "tell for sure, and they kept their names; look at these frames"
     )
     return Finding(
         "points exchanged",

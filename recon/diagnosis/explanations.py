@@ -1,4 +1,4 @@
-"""Corrects one camera of several under each hypothesis of its error; measures what remains."""
+"""Corrects one camera of several under each hypothesis of its error; measures the error left."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -52,7 +52,7 @@ class DoubtedView:
 
     @classmethod
     def of(cls, images: Images, view: int) -> "DoubtedView":
-        """Triangulate the points of all other views, to compare one view with."""
+        """Triangulate points from all other views, for comparison with one view."""
         rest = [v for v in range(len(images.names)) if v != view]
         return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
@@ -63,7 +63,7 @@ class DoubtedView:
         return np.where(there, one.distances_from(self.points)[0], np.nan)
 
     def median_ray_distance(self, images: Images | None = None) -> float:
-        """Return the median distance (m) of the view's rays from the others' points."""
+        """Return the median distance (m) of the view's rays from the points of other views."""
         away = self.ray_distances(images)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
@@ -82,30 +82,30 @@ class DoubtedView:
             out.append(ExplainedView(cause, images, value, self.median_ray_distance(images)))
         return out
 
-    def _rays_and_directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _rays_and_targets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rays and directions to triangulated points (camera's frame), and a mask."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
-        ways = self.points - one.origin[0]
-        ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-9)
+        targets = self.points - one.origin[0]
+        targets = targets / np.maximum(np.linalg.norm(targets, axis=-1, keepdims=True), 1e-9)
         local = np.swapaxes(turn, -1, -2)
-        return one.direction[0] @ local, ways @ local, self.exists & (one.weight[0] > 0)
+        return one.direction[0] @ local, targets @ local, self.exists & (one.weight[0] > 0)
 
     def _with_constant_turn(self) -> tuple[Images, float]:
         """Rotate the camera about its centre so that most rays meet the points (robust Wahba)."""
-        rays, ways, there = self._rays_and_directions()
-        turn = robust_rotations(ways[there][None], rays[there][None], there[there][None])
+        rays, targets, there = self._rays_and_targets()
+        turn = robust_rotations(targets[there][None], rays[there][None], there[there][None])
         degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
         return self._with_turn(turn), float(degrees)
 
     def _with_smooth_turn(self) -> tuple[Images, float]:
         """Rotate the camera about its centre by a rotation that changes smoothly over time."""
-        rays, ways, there = self._rays_and_directions()
+        rays, targets, there = self._rays_and_targets()
         moments = len(rays)
         known = there.sum(-1) >= _MIN_POINTS
         if not known.any():
             return self.images, 0.0
-        vectors = Rotation.from_matrix(robust_rotations(ways, rays, there)[known]).as_rotvec()
+        vectors = Rotation.from_matrix(robust_rotations(targets, rays, there)[known]).as_rotvec()
         times = np.arange(moments)
         vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
         smooth = moving_average(vectors, round(_SMOOTHING_S * self.images.fps))
@@ -139,7 +139,7 @@ class DoubtedView:
         """Estimate another camera pose, with which most points agree (PnP with RANSAC)."""
         images, pose = self.images, self.images.pose.copy()
         local, front = in_camera(pose[self.view], self.points)
-        rays, _, there = self._rays_and_directions()
+        rays, _, there = self._rays_and_targets()
         good = there & front & (rays[..., 2] > _MIN_DEPTH_SHARE)
         if good.sum() < _MIN_SAMPLES:
             return images, 0.0

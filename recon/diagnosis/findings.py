@@ -40,8 +40,8 @@ Code = Literal[
     "body surface",  # the surfaces of two bodies, between which a motion is transferred, differ
     "distance",  # a camera would be nearer or farther than people are filmed
     "gap",  # a stretch of frames without data
-    "few moments",  # so few a second that footsteps may be missed between them
-    "jump",  # the fitted body moves faster between two frames than the data
+    "few moments",  # so few frames a second were seen that footsteps between them may be missed
+    "jump",  # the fitted body moves faster between two frames than the observed points do
     "joint centres",  # points given as markers lie inside the body, as joints do
     "focal",  # the camera is not calibrated; its focal length was fitted with the motion
     "proposed",  # a network proposed the motion of unseen limbs from which the fit began
@@ -124,7 +124,7 @@ def stretches(
     return tuple((first, stop - 1) for first, stop in runs_of_true(flags) if stop - first >= least)
 
 
-def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:
+def long_runs(flags: Bool[np.ndarray, " time"], least: float | int) -> Bool[np.ndarray, " time"]:
     """Return a mask that is true only in runs of at least `least` true values."""
     out = np.zeros_like(flags)
     for first, last in stretches(flags, least):
@@ -138,7 +138,7 @@ def flagged(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[st
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Join names by commas; of many, the first ones and how many more there are."""
+    """Join names by commas; of more than `most`, give the first ones and count the others."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most} more"

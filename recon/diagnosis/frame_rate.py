@@ -117,10 +117,10 @@ _RATE_FACTORS = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 def rates_by_balance(movement: Movement) -> Bounds:
     """Bound the frame rate from above where only a lower one makes the motion balanced."""
-    asked = _imbalance(movement, 1.0)
-    if asked >= _MAX_IMBALANCE_M:
+    given = _imbalance(movement, 1.0)
+    if given >= _MAX_IMBALANCE_M:
         for factor in _RATE_FACTORS:
-            if _imbalance(movement, factor) < min(_MAX_IMBALANCE_M, _MAX_IMBALANCE_SHARE * asked):
+            if _imbalance(movement, factor) < min(_MAX_IMBALANCE_M, _MAX_IMBALANCE_SHARE * given):
                 return 0.0, factor
     return 0.0, math.inf
 
@@ -145,14 +145,14 @@ def _imbalance(movement: Movement, rate_factor: float) -> float:
     smoothed = (before + 2 * here + after) / 4
     load = GRAVITY + acceleration[:, 2]
     standing = (movement.sole_heights < ground + _CONTACT_HEIGHT_M)[step:-step]
-    asked = standing.any(1) & (load > _MIN_LOAD * GRAVITY)
-    if asked.sum() < _LEAST_FRAMES:
+    loaded = standing.any(1) & (load > _MIN_LOAD * GRAVITY)
+    if loaded.sum() < _LEAST_FRAMES:
         return math.nan
-    arm = (smoothed[asked, 2] - ground) / load[asked]
-    point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
-    soles = movement.soles[step:-step][asked][..., :2]
+    arm = (smoothed[loaded, 2] - ground) / load[loaded]
+    point = smoothed[loaded, :2] - arm[:, None] * acceleration[loaded, :2]
+    soles = movement.soles[step:-step][loaded][..., :2]
     # a raised sole gets the corners of the standing one, which leaves the convex hull unchanged
-    soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
+    soles = np.where(standing[loaded][..., None, None], soles, soles[:, ::-1])
     return float(distance_outside_hull(point, soles.reshape(len(soles), 4, 2)).mean())
 
 
@@ -273,7 +273,7 @@ def rate_range(
     low = max((bound[0] for bound in limits.values()), default=math.inf)
     high = min((bound[1] for bound in limits.values()), default=0.0)
     if low > high:
-        # no test applies, or tests contradict each other, so that something else is wrong
+        # no test gave a bound, or the bounds contradict each other, so that no rate suits all
         return None
     against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
     return RateRange(low, high, against or tuple(limits))

@@ -220,10 +220,10 @@ def confirmed_sides(
     """
     changes = np.flatnonzero(np.diff(flags)) + 1
     after = images.exchanged(flags[None])
-    won = dict(zip(changes.tolist(), undoing_improves_fit(images, after, changes), strict=True))
+    better = dict(zip(changes.tolist(), undoing_improves_fit(images, after, changes), strict=True))
     sure = np.zeros_like(flags)
     for a, b in stretches(flags):
-        ends = [won[t] for t in (a, b + 1) if t in won]
+        ends = [better[t] for t in (a, b + 1) if t in better]
         sure[a : b + 1] = all(ends) and (len(ends) == 2 or keeps_facing_one_side(after))
     return sure
 
@@ -251,7 +251,7 @@ def undoing_improves_fit(
 
 
 def fits_better_exchanged(images: Images, share: float) -> bool:
-    """Whether a body fits one view clearly better with all left and right exchanged.
+    """Whether a body fits one view clearly better with all names of left and right exchanged.
 
     Knees, feet and the face tell the front from the back, and so the sides. The exchange must
     reduce the objective below `share` of its value, in fits at 15 Hz and then at up to 60 Hz: a
@@ -296,7 +296,7 @@ _MAX_LENGTH_RATIO = 1.1
 
 
 def limb_root_by_keypoint_pair(images: Images) -> dict[tuple[int, int], int]:
-    """Return, by the pair (elbow, wrist) or (knee, ankle), its limb's shoulder or hip."""
+    """Map every pair (elbow, wrist) to its shoulder, and every pair (knee, ankle) to its hip."""
     chains = [
         [f"{side}_{part}" for part in limb]
         for side in ("left", "right")

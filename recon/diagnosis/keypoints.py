@@ -31,8 +31,8 @@ from recon.diagnosis.images import Images
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.odds import (
     checked_against_each_other,
+    mirrored_or_scaled_view_corrected,
     mirroring_repaired,
-    single_view_explained,
 )
 from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import without_implausible
@@ -55,7 +55,7 @@ Seen = Bool[np.ndarray, "moments points"]
 
 
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
-    """Mark keypoints at (0, 0) as unseen, as missing ones are often written so."""
+    """Mark keypoints at (0, 0) as unseen, since files often write missing keypoints like that."""
 
     def finding(view: int, zeros: Seen) -> Finding:
         share, points = (
@@ -72,7 +72,7 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
             float(share),
         )
 
-    return hidden_keypoints(images, images.seen & (images.pixels == 0).all(-1), finding)
+    return hide_keypoints(images, images.seen & (images.pixels == 0).all(-1), finding)
 
 
 def repaired_copies(images: Images) -> tuple[Images, Findings]:
@@ -95,7 +95,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
             float(frames.mean()),
         )
 
-    return hidden_keypoints(images, np.repeat(copied[..., None], len(images.points), -1), finding)
+    return hide_keypoints(images, np.repeat(copied[..., None], len(images.points), -1), finding)
 
 
 def repaired_frozen(images: Images) -> tuple[Images, Findings]:
@@ -123,10 +123,10 @@ def repaired_frozen(images: Images) -> tuple[Images, Findings]:
             float(frozen.sum(0).max() / images.fps),
         )
 
-    return hidden_keypoints(images, held, finding)
+    return hide_keypoints(images, held, finding)
 
 
-def hidden_keypoints(
+def hide_keypoints(
     images: Images,
     wrong: Bool[np.ndarray, "views moments points"],
     finding_of_view: Callable[[int, Seen], Finding],
@@ -188,7 +188,7 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
             float(share[v]),
         )
 
-    return hidden_keypoints(images, wild & many[:, None, None], finding)
+    return hide_keypoints(images, wild & many[:, None, None], finding)
 
 
 def _all_outliers(
@@ -206,7 +206,7 @@ def _all_outliers(
 def _far_from_median(
     images: Images, reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """Return a mask of keypoints far from their median over the frames around them."""
+    """Return a mask of keypoints far from their median over the neighbouring frames."""
     seen, place = images.seen, images.shown
     if seen.shape[1] <= 2 * reach:
         return np.zeros_like(seen)
@@ -350,14 +350,14 @@ def screen_views(
     """
     out, found = list(views), NOTHING
     for rows, given in grouped_views(views, names, body):
-        images, more = screened(given)
+        images, more = screen_group(given)
         for k, view in zip(rows, images.sensors, strict=True):
             out[k] = view
         found += more
     return out, found
 
 
-def screened(images: Images) -> tuple[Images, Findings]:
+def screen_group(images: Images) -> tuple[Images, Findings]:
     """Repair and check views of one clock and keypoint layout; also return the findings."""
     images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_frozen))
     continuous = images.fps >= FEW_MOMENTS
@@ -367,13 +367,13 @@ def screened(images: Images) -> tuple[Images, Findings]:
         images, more = repaired_outliers(images)
         found += more
     names = (
-        mirroring_repaired, single_view_explained, repaired_by_rays, repaired_names,
+        mirroring_repaired, mirrored_or_scaled_view_corrected, repaired_by_rays, repaired_names,
         repaired_sides, repaired_pairs,
     )  # fmt: skip
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # exchanged sides are found only if camera poses are correct
+    if contradictions.repairs:  # exchanged sides show only under correct poses: search anew
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

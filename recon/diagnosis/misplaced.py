@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from recon.core.arrays import finite_median
 from recon.core.skeleton import ARMS, MIRROR, PARENTS
-from recon.diagnosis.findings import Code, Finding, flagged, lasting, listed, stretches
+from recon.diagnosis.findings import Code, Finding, flagged, listed, long_runs, stretches
 from recon.diagnosis.named_points import (
     NamedPoints,
     PredictedPoints,
@@ -59,7 +59,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
         own = sum(float(misfit[ends][ends[1]]) for ends in touched)
-        if own <= max(best, _MIN_LENGTH_SAVED_M):  # even all of it would save too little
+        if own <= max(best, _MIN_LENGTH_SAVED_M):  # an exchange saves at most `own`
             continue
         new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
         if own - new > max(best, _MIN_LENGTH_SAVED_M) and new < _MAX_REMAINING_SHARE * own:
@@ -74,7 +74,7 @@ _MAX_COSINE = -0.5
 
 
 def limbs_maybe_exchanged(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
-    """Find groups of left-right pairs, each a part of a limb, that may be exchanged; mostly none.
+    """Find parts of limbs, as left-right pairs, whose names may be exchanged; usually none.
 
     Candidates are limbs of which a bone fits the other side's joint, and limbs whose left-to-right
     direction is opposite to another limb's. Every part of these is a group; a fit must decide.
@@ -160,9 +160,9 @@ def _likely_runs_with_sure_frame(
     grown = surely.copy()
     for first, last in stretches(likely):
         grown[first : last + 1] |= surely[first : last + 1].any()
-    gaps = ~grown & ~lasting(~grown, _MAX_GAP + 1)
+    gaps = ~grown & ~long_runs(~grown, _MAX_GAP + 1)
     gaps[: int(grown.argmax())] = gaps[len(grown) - int(grown[::-1].argmax()) :] = False
-    return lasting(grown | gaps, _MIN_STRETCH)
+    return long_runs(grown | gaps, _MIN_STRETCH)
 
 
 _MAX_GAP_S = 0.1
@@ -180,7 +180,7 @@ def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
-    """Find left-right pairs of points that jump to each other's place and back, with frames."""
+    """Find left-right pairs of points that jump to each other's place and back, and the frames."""
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
@@ -324,7 +324,7 @@ def without_outliers(
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
-            # leave out the clip's first and last frame, whose second differences are not known
+            # leave out first and last frame of the clip, which have no second difference
             ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))

@@ -239,7 +239,7 @@ def belt_velocity(
     if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
-    # number of each foot's lowest part: its heel or its toes
+    # which part of each foot is lower: 0 the heel, judged by the ankle; 1 the toes
     lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
     steps = np.diff(feet[..., :2], axis=0) * movement.fps
     velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
@@ -288,7 +288,7 @@ def _close_velocities(
     return np.linalg.norm(velocity - belt, axis=-1) < reach
 
 
-def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
+def in_belt_frame(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
     """Transform points from the room's frame to that of a treadmill's belt (velocity in m/s)."""
     path = _path_of_belt(points.positions.shape[-3], points.fps, points.start_time, belt)
     moved = points.positions - path.to(points.positions)[:, None]
@@ -296,7 +296,7 @@ def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints
 
 
 def motion_in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
-    """Transform a motion from the frame of a treadmill's belt to the room's; inverse: -belt."""
+    """Transform a motion from the frame of a treadmill's belt to the room's frame."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
 
 
@@ -318,7 +318,7 @@ _MIN_CHILD_HEIGHT_M = 0.95
 
 
 def height_findings(tall: float, causes: str, *, may_be_child: bool) -> Findings:
-    """Return a warning of a height (m) that no adult has, which asks to check some `causes`.
+    """Return a warning if no adult has this height (m); it names `causes` that are to be checked.
 
     Where there `may_be_child`, as in points in metres, a child's height is only noted.
     """

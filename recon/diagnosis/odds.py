@@ -1,4 +1,4 @@
-"""Finds a camera view that contradicts the others, its likeliest cause and a correction.
+"""Finds a camera view that contradicts the others, the likeliest cause, and a correction.
 
 Points that the other views triangulate are compared with the rays of the view. An explanation that
 reduces their distance to the noise of the keypoints is certain, and its correction is applied. A
@@ -16,7 +16,7 @@ from recon.diagnosis.findings import (
     Code,
     Finding,
     Findings,
-    lasting,
+    long_runs,
     run_checks,
     spans,
     stretches,
@@ -89,25 +89,25 @@ def mirror_warnings(images: Images) -> tuple[Finding, ...]:
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """Mirror all images; return also a finding if they agree better, and whether within the noise.
+    """Mirror all images; also return a finding if they agree better, and if within their noise.
 
     One view is not enough, as it shows what the mirrored person would have done.
     """
     usual = noise_of_views(images) * (
         _PAIR_MISS_STDS if len(images.names) == 2 else _ALL_MISS_STDS
     )
-    turned = mirrored(images, list(range(len(images.names))))
-    given, other = ray_distance(images), ray_distance(turned)
+    flipped = mirrored(images, list(range(len(images.names))))
+    given, other = ray_distance(images), ray_distance(flipped)
     if given < max(usual, 0.002) or other > _MAX_MIRRORED_RATIO * given:
-        return turned, None, False
+        return flipped, None, False
     said = (
         f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
         f"by {100 * other:.1f} cm when left and right of all images are exchanged"
     )
-    return turned, Finding("mirrored", said, value=given), other <= usual
+    return flipped, Finding("mirrored", said, value=given), other <= usual
 
 
-def single_view_explained(images: Images) -> tuple[Images, Findings]:
+def mirrored_or_scaled_view_corrected(images: Images) -> tuple[Images, Findings]:
     """Correct a view that agrees with the others only when mirrored or scaled.
 
     This precedes the checks of names, as wrong pixels make names look wrong.
@@ -124,12 +124,12 @@ def _one_view_corrected(
     usual, best = _MISS_STDS * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):
-        odd = DoubtedView.of(images, v)
-        before = odd.median_ray_distance()
+        doubted = DoubtedView.of(images, v)
+        before = doubted.median_ray_distance()
         if before < _SUSPECT_RATIO * usual or usual == 0:
             continue
         rest = ray_distance(images.view([k for k in range(len(images.names)) if k != v]))
-        chosen = _simplest_explanation(odd.corrected_by_cause(causes))
+        chosen = _simplest_explanation(doubted.corrected_by_cause(causes))
         if max(rest, chosen.remains) <= usual and rest + chosen.remains < best:
             code, what, _ = _CAUSES[chosen.cause]
             text = (
@@ -189,22 +189,22 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
     views = range(len(images.names))
     rest = [ray_distance(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))
-    odd, name = DoubtedView.of(images, v), images.names[v]
-    before, agree = odd.median_ray_distance(), 0 < rest[v] <= _MISS_STDS * noise
+    doubted, name = DoubtedView.of(images, v), images.names[v]
+    before, agree = doubted.median_ray_distance(), 0 < rest[v] <= _MISS_STDS * noise
     hidden = np.zeros_like(images.seen)
     if before > _MIN_ODDS_M:
         hidden[v], frames, size = True, (), before
-        least = _simplest_explanation(odd.corrected_by_cause(tuple(_CAUSES)))
+        least = _simplest_explanation(doubted.corrected_by_cause(tuple(_CAUSES)))
         clear = least.remains < _MAX_MIRRORED_RATIO * before
         hint = _CAUSES[least.cause][2] if clear else _OTHER_PERSON
         said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"
         left_out = f"{said}, while they agree with each other; it was left out. {hint}"
         warned = f"{said}. {hint}"
     else:
-        miss = odd.ray_distances()
+        miss = doubted.ray_distances()
         away = np.array([np.median(row[known]) if known.any() else 0.0
                          for row, known in zip(miss, np.isfinite(miss), strict=True)])  # fmt: skip
-        hidden[v] = lasting(away > _STRETCH_MISS_M, round(_MIN_STRETCH_S * images.fps))[:, None]
+        hidden[v] = long_runs(away > _STRETCH_MISS_M, round(_MIN_STRETCH_S * images.fps))[:, None]
         if not hidden.any():
             return images, NOTHING
         frames = stretches(hidden[v, :, 0])

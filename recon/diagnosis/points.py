@@ -115,7 +115,7 @@ def _names_repaired(
 
 
 def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, int], ...]:
-    """Return pairs of points that carry each other's name throughout; mostly none.
+    """Return pairs of points that carry each other's name in all frames; usually there are none.
 
     Bone lengths suggest candidates, which quick fits must confirm.
 
@@ -129,8 +129,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
     if not groups:
         return ()
     versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
-    # call `quick_fits` for each version alone: given several, it stops after the first, the given
-    # names, if that fits well, even where another version fits better
+    # fit each version alone: `quick_fits` of several ends early if the first of them fits well
     excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
@@ -185,7 +184,7 @@ def _pairs_repaired(
     predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or without_outliers(predicted, noise)[1]:
-        # points that a better quick fit reaches are right, even if they looked wrong before
+        # points may only look wrong because the quick fit ended in a poor minimum: try another
         fitted = with_second_start(fitted, body)
         pairs = exchanged_moments(PredictedPoints.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:

@@ -113,7 +113,7 @@ class ViewCorrection:
         """Distance (m) by which the centre of the camera is shifted."""
         return float(np.linalg.norm(self.values[4:]))
 
-    def applied(self, images: Images) -> Images:
+    def applied_to(self, images: Images) -> Images:
         """Apply the correction to this view, and return all views."""
         pose = images.pose.copy()
         pose[self.view] = self.pose
@@ -182,7 +182,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
         return self.is_determined and gain > _MAX_CLEAN_GAIN
 
-    def solved(self) -> ViewCorrection | None:
+    def best_correction(self) -> ViewCorrection | None:
         """Find the correction with the least residuals; None if the data do not determine it."""
         if not self.is_determined:
             return None
@@ -230,7 +230,7 @@ class ViewAlignment(Problem[_ClockAndPose]):
         return normal, slope, inflation
 
     def model(self, x: _ClockAndPose, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Return a quadratic model about a correction (reweighted); flat if too little is seen."""
+        """Model the robust cost about a correction as quadratic; flat if too little is seen."""
         found, own = self._residuals(*x), self._unknown_indices
         normal, slope = np.eye(7), np.zeros(7)
         if found.there.sum() >= _MIN_KEYPOINTS:
@@ -276,11 +276,11 @@ class ViewAlignment(Problem[_ClockAndPose]):
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
         rays = ray_directions(self.images)[0, self.rows]
-        ways = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
+        targets = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
         there = self.seen & exists & front
         if not there.any():
             return pose
-        turn = robust_rotations(ways[there][None], rays[there][None], there[there][None])[0]
+        turn = robust_rotations(targets[there][None], rays[there][None], there[there][None])[0]
         return _moved_pose(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
 
     def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":
@@ -351,8 +351,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # an error of a fitted velocity shifts many residuals alike, just as an error of the clock
-        # does: subtract what such errors contribute
+        # errors of fitted velocities act like a wrong clock: subtract their expected part
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())

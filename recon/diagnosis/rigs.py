@@ -124,7 +124,7 @@ class _RayDistances(Problem[Float[np.ndarray, "4"]]):
     """Largest clock offset (frames), if it is unknown."""
 
     def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Return a quadratic model of the distances (reweighted); flat if too little is seen."""
+        """Model the distances' robust cost as quadratic; flat if too little is seen."""
         unknown, late, turn = self.unknown, float(x[0]), x[1:]
         ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
         away, *ends = _distances_of_rays(self.images, late, turn, *(ends if 1 in unknown else ()))
@@ -200,7 +200,7 @@ def with_certain_corrections(images: Images) -> CorrectedRig:
         alike = [one for one in found if one.cost - best.cost < _MIN_COST_GAP * best.inflation]
         if len(alike) > 1:
             return CorrectedRig(images, applied, tuple(alike))
-        images, applied = best.applied(images), (*applied, best)
+        images, applied = best.applied_to(images), (*applied, best)
     return CorrectedRig(images, applied)
 
 
@@ -250,13 +250,13 @@ def is_certain(found: ViewCorrection, fps: float) -> bool:
 
 def _simplest_correction(images: Images, given: ViewAlignment) -> ViewCorrection | None:
     """Find the correction with the fewest parts (clock, pose) that suffices for a view."""
-    both = given.solved()
+    both = given.best_correction()
     if both is None:
         return None
     parts: list[Part] = [
         part for part in PARTS if _is_needed(both, part, images.fps, _MIN_OTHER_SQUARED_STDS)
     ]
-    return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
+    return both if len(parts) != 1 else replace(given, parts=(parts[0],)).best_correction()
 
 
 def _is_needed(found: ViewCorrection, part: Part, fps: float, min_squared_stds: float) -> bool:

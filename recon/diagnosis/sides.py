@@ -127,7 +127,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
 
 
 def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """Return the cheapest mask of exchanged sides, in which only the views `free` may change.
+    """Return where sides are exchanged at the least cost, if only the views `free` may have this.
 
     False in all frames unless that saves `_MIN_SAVED_COST`.
     """
@@ -136,7 +136,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
         for number in range(2 ** len(free))
     ])  # fmt: skip
-    met = [_triangulated_under(images, state, images.counterparts) for state in states]
+    met = [_triangulated_after_exchange(images, state, images.counterparts) for state in states]
     here = _costs_of_states(met, states, images.sided[None])
     if views > 1:
         facing = [facing_agreement(images.points, points, exists) for points, exists, _ in met]
@@ -145,7 +145,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
     return states[_cheapest_paths(here, between)[0]].T
 
 
-def _triangulated_under(
+def _triangulated_after_exchange(
     images: Images, exchanged: Bool[np.ndarray, " views"], order: Int[np.ndarray, " points"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangulate points with names exchanged in some views; also return a mask and costs.
@@ -217,8 +217,8 @@ def _costs_of_steps(
         for way, some in zip(away, images.seen & known, strict=True)
     ])  # fmt: skip
 
-    def cost_of_prediction(there: np.ndarray, known: np.ndarray) -> np.ndarray:
-        away = (images.pixels - there) / images.scale[..., None, None]
+    def cost_of_prediction(predicted: np.ndarray, known: np.ndarray) -> np.ndarray:
+        away = (images.pixels - predicted) / images.scale[..., None, None]
         squared = np.square(away / typical[:, None, None, None]).sum(-1)
         both = images.seen & known
         counted = both & both[:, :, order] & (order != np.arange(len(order)))
@@ -230,8 +230,8 @@ def _costs_of_steps(
 
 
 def repaired_by_rays(images: Images) -> tuple[Images, Findings]:
-    """Undo exchanges of two names by which rays of several views meet; also return findings."""
-    return repaired_by(images, exchanged_between_views(images), "rays of the views meet only then")
+    """Exchange names of two keypoints back where only then rays meet; also return findings."""
+    return repaired_by(images, exchanged_between_views(images), "rays meet only after an exchange")
 
 
 def exchanged_between_views(images: Images) -> list[ExchangedPair]:
@@ -252,7 +252,7 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         turned, own = order.copy(), np.array(pairs)
         turned[own], groups = own[:, ::-1], np.isin(order, own) & (order == own[:, :1])
         groups[np.arange(len(own)), own[:, 1]] = True
-        met = [_triangulated_under(images, state, turned) for state in states]
+        met = [_triangulated_after_exchange(images, state, turned) for state in states]
         here = _costs_of_states(met, states, groups)
         paths = _cheapest_paths(here, _costs_of_changes(images, states, turned, groups))
         for pair, path, cost in zip(pairs, paths, here, strict=True):

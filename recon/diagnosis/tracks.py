@@ -96,18 +96,18 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     """Return a warning if frames are out of order: positions jump, but bones keep their length."""
     if found := _repeated_jumps_warning(points):
         return found
-    along, near = bone_noise(points), _distance_moved(points, 1)
+    noise, near = bone_noise(points), _distance_moved(points, 1)
     far = np.array([_distance_moved(points, lag) for lag in _LAGS])
-    if along is None or np.isnan(near) or np.isnan(far).all() or near < _MIN_DISORDER_M:
+    if noise is None or np.isnan(near) or np.isnan(far).all() or near < _MIN_DISORDER_M:
         return ()
     typical = float(np.nanmedian(far))
-    if near < _MIN_DISORDER_RATIO * _TYPICAL_STDS * along or typical > _MIN_GROWTH * near:
+    if near < _MIN_DISORDER_RATIO * _TYPICAL_STDS * noise or typical > _MIN_GROWTH * near:
         return ()
     return (
         Finding(
             "frame order",
             f"from frame to frame points move by {100 * near:.0f} cm, which is no less than they "
-            f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * along:.1f} cm: "
+            f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * noise:.1f} cm: "
             "the frames do not seem to be in the order of time; sort them by their time stamps",
             value=near / max(typical, 1e-6),
         ),

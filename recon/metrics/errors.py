@@ -170,7 +170,7 @@ def chamfer_of_clip(motion: Motion, body: BodyModel, scans: PointsFile) -> float
     """
     if scans.camera is not None and scans.camera.T_camera_world is None:
         raise ValueError(
-            "expected points in the world, got points in the frame of a camera without a pose"
+            "expected points in the world, got points of a camera without a pose; give its pose"
         )
     frames, rows = np.unique(scans.frame, return_inverse=True)
     if len(frames) == 0:

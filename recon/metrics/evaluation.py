@@ -138,7 +138,7 @@ def _common_frames(estimate: Motion, truth: Motion) -> tuple[Motion, int]:
         raise ReconError(f"the truth does not cover the estimate: {error}") from error
     count = int(aligned.valid.long().cumprod(0).sum())
     if count == 0:
-        raise ReconError("the truth has no valid frame at the estimate's times")
+        raise ReconError("the truth has no valid frame at the estimate's times; check both clocks")
     return aligned.window(0, count), count
 
 
@@ -151,7 +151,7 @@ def joint_errors(
     truth: Float[Tensor, "time 22 3"],
     visible: Bool[Tensor, "time 22"] | None,
 ) -> dict[str, float | None]:
-    """Return mean joint errors in the world, to the pelvis, and after a similarity; metres."""
+    """Return mean joint errors (m): in the world, relative to the pelvis, after a similarity."""
     world = metrics.point_errors(predicted, truth)
     rooted = metrics.point_errors(metrics.root_aligned(predicted), metrics.root_aligned(truth))
     similar = metrics.point_errors(metrics.similarity_aligned(predicted, truth), truth)
@@ -240,7 +240,7 @@ def _toe_heights(posed: PosedBody) -> Tensor:
 
 
 def sole_heights(posed: PosedBody) -> Float[Tensor, "time 2"]:
-    """Height of the lowest skin of either foot in every frame, metres."""
+    """Height of the lowest skin point of each foot in every frame, metres."""
     owner = posed.model.weights.argmax(-1)
     feet = [torch.isin(owner, owner.new_tensor(joints)).nonzero()[:, 0] for joints in _FEET]
     return torch.stack([posed.points(foot)[..., 2].amin(-1) for foot in feet], -1)

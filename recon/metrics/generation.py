@@ -45,7 +45,7 @@ def pairwise_distance(joints: Float[Tensor, "samples time joints 3"]) -> float |
     return metrics.mean(torch.cat([row.mean((1, 2)) for row in rows]))
 
 
-def lowest_foot(
+def lower_foot_height(
     joints: Float[Tensor, "*#batch time 22 3"], rest_height: Float[Tensor, "*#batch 22"]
 ) -> Float[Tensor, "*batch time"]:
     """Return the height of the lower foot above the ground z = 0, metres: zero while it stands.
@@ -73,7 +73,7 @@ def stays_on_ground(
 
     Contacts reach up to 8 cm (`recon.body.contacts`); a jump lasts at most 0.7 s.
     """
-    height = lowest_foot(joints, rest_height)
+    height = lower_foot_height(joints, rest_height)
     return (height >= -LIMB_REACH).all(-1) & ~_longer_than_a_jump(height > LIMB_REACH, fps)
 
 

@@ -70,7 +70,7 @@ def root_translation_error(
 
 
 def jitter(joints: Float[Tensor, "time joints 3"], fps: float) -> float | None:
-    """Mean norm of the third differences of the joints, m/s³ (WHAM prints tenths of it)."""
+    """Mean norm of the third differences of the joints, m/s³ (WHAM prints a tenth of this)."""
     return mean(joints.diff(n=3, dim=0).norm(dim=-1) * fps**3)
 
 

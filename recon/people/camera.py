@@ -39,8 +39,8 @@ class SharedCamera:
     matrix: Float[Tensor, "3 3"]
     T_camera_world: Float[Tensor, "4 4"]
     starts: tuple[Motion, ...]
-    """First guess of everybody's motion in that world; size and distance scale together."""
-    described: str
+    """First guess of everybody's motion in that world; size and distance are scaled alike."""
+    description: str
     """What was found, in a sentence."""
 
 
@@ -78,7 +78,7 @@ class _SingleFit:
             places=below @ back[:3, :3].T + back[:3, 3],
         )
 
-    def zoomed(self, focal: float) -> Float[np.ndarray, "places 3"]:
+    def places_for(self, focal: float) -> Float[np.ndarray, "places 3"]:
         """Return the sole points (m) for another focal length, which moves them in depth."""
         return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
 
@@ -96,7 +96,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
     alone = [_SingleFit.of(one) for one in results]
     seen = np.array([one.motion.frames for one in results], float)
     focal = float(np.exp(np.average([np.log(one.focal) for one in alone], weights=seen)))
-    places = [one.zoomed(focal) for one in alone]
+    places = [one.places_for(focal) for one in alone]
     (view,) = views_of(results[0].examined.fit.observations)
     upright = _LEVEL if view.level else _UPRIGHT
     normal, above, factors = _common_ground(places, [one.up for one in alone], upright)
@@ -114,7 +114,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
         matrix=zoomed.float(),
         T_camera_world=torch.linalg.inv(T).float(),
         starts=starts,
-        described=(
+        description=(
             f"one camera for {len(alone)} people: {above:.2f} m above the ground, focal length "
             f"{focal:.0f} pixels (fitted each alone: "
             + ", ".join(f"{one.focal:.0f}" for one in alone)
@@ -149,11 +149,11 @@ def _common_ground(
         return normal / np.linalg.norm(normal), float(np.exp(x[2])), np.exp(x[3:])
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        normal, above, factors = ground_and_factors(x)
+        normal, altitude, factors = ground_and_factors(x)
         out = [x[3:] / _SIZE]
         for spots, up, factor in zip(places, ups, factors, strict=True):
             # heights are divided by the person's scale: else the smallest scales would fit best
-            height = (spots @ normal + above / factor) / _ON_GROUND
+            height = (spots @ normal + altitude / factor) / _ON_GROUND
             # heights above the ground, as of people who jump, count robustly, others in full
             height = np.where(height > 0, _pseudo_huber_residual(height), height)
             out.append(height / np.sqrt(len(spots)))
@@ -163,8 +163,8 @@ def _common_ground(
             )
         return np.concatenate(out)
 
-    above = max(float(np.mean([-(spots @ mean).min() for spots in places])), 0.1)
-    found = least_squares(residuals, np.array([0.0, 0.0, np.log(above), *[0.0] * len(places)]))
+    altitude = max(float(np.mean([-(spots @ mean).min() for spots in places])), 0.1)
+    found = least_squares(residuals, np.array([0.0, 0.0, np.log(altitude), *[0.0] * len(places)]))
     return ground_and_factors(found.x)
 
 

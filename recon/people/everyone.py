@@ -30,7 +30,7 @@ class SeenPerson:
     number: int
     """Their number by first appearance in the first view that shows them, for `--person`."""
     views: Views
-    """What was seen of them."""
+    """Keypoints of this person in every view."""
     note: str
     """Frames in which they were seen, and their place in the image."""
 
@@ -49,7 +49,7 @@ class PersonClip:
     """A person's number and observations, as `recon.fit_people` takes them."""
 
     number: int
-    """Their number as `person` takes it."""
+    """The person's number, as the option `person` takes it."""
     clip: Clip
     """What was seen of them, from when they were first seen to when they were last seen."""
 
@@ -70,11 +70,11 @@ def people_in(
             known = path.suffix.lower() in DETECTIONS or is_film(path) or holds_detections(path)
             if path.is_file() and not known:
                 raise FormatError(
-                    f"{path}: several people are told apart in films and files of 2D detections "
-                    "(.json, .csv, .npz, or folders of them); give nothing else with --person all"
+                    f"{path}: --person all takes only films and files of 2D detections (.json, "
+                    ".csv, .npz, or folders of them), in which it finds people; leave this out"
                 )
         if settings.masks is not None:
-            raise ObservationError("--masks are of one person; leave them out with --person all")
+            raise ObservationError("--masks show one person; leave them out with --person all")
         seen = read_views(paths, settings, settings.between)
         found = grouped_people(seen)
         people: list[PersonClip] = []
@@ -91,8 +91,8 @@ def people_in(
                 people.append(PersonClip(one.number, clip_between(clip, *span)))
         if not people:
             raise ObservationError(
-                f"--between {first:g} {last:g}: nobody is seen for {_LEAST_SECONDS} s between "
-                f"these times; there are {'; '.join(one.note for one in found.people)}"
+                f"--between {first:g} {last:g}: nobody is seen for at least {_LEAST_SECONDS} s "
+                f"between these times; found were {'; '.join(one.note for one in found.people)}"
             )
     notes = [decision for one in projects for decision in one.decisions]
     return tuple(people), (*notes, *seen.decisions, *found.decisions, *elsewhen)
@@ -121,7 +121,7 @@ def grouped_people(seen: SeenViews) -> Everyone:
         people.append(SeenPerson(number, seen.views(tracks, [note]), note))
     if len(people) == 0:
         raise ObservationError(
-            f"{', '.join(seen.names)}: nobody is seen for {_LEAST_SECONDS} s; there are "
+            f"{', '.join(seen.names)}: nobody is seen for at least {_LEAST_SECONDS} s; found were "
             + "; ".join(str(track) for view in views for track in view.tracks)
         )
     lost = [t for view in views for t in view.tracks if t.ended_by is not None]

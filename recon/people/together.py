@@ -103,7 +103,7 @@ def fit_people(
             clips = [_with_shared_camera(clip, shared) for clip in clips]
             starts = list(shared.starts)
             arguments = arguments | {"ground": "auto"}
-            notes = (*notes, shared.described)
+            notes = (*notes, shared.description)
     each = [
         arguments if start is None else arguments | {"start": start} | {"shape": start.shape}
         for start in starts

@@ -1,1 +1,1 @@
-"""L-BFGS over batches, damped Gauss-Newton over sequences: tensors, nothing of people."""
+"""Solvers for any problem in tensors: L-BFGS for batches, damped Gauss-Newton for sequences."""

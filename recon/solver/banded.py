@@ -26,13 +26,13 @@ class Banded:
     inner: Float[Tensor, "time reach_and_one n n"]
     """[t, k]: the block A_(t, t + k)."""
     border: Float[Tensor, "time n m"]
-    """B_t."""
+    """B_t: the block of frame t by the border."""
     corner: Float[Tensor, "m m"]
-    """C."""
+    """C: the block of the border alone."""
 
     @classmethod
     def zero(cls, time: int, reach: int, n: int, m: int, like: Tensor) -> "Banded":
-        """Make a matrix of zeros: frames, band width, variables per frame, border variables."""
+        """Make a zero matrix with n variables in each of `time` frames and m in the border."""
         return cls(
             like.new_zeros(time, reach + 1, n, n), like.new_zeros(time, n, m), like.new_zeros(m, m)
         )
@@ -63,7 +63,7 @@ class Banded:
         jacobian: Float[Tensor, "time rows n"],
         shaped: Float[Tensor, "time rows m"],
     ) -> None:
-        """Add the curvature of ½ Σ c_(t, k) r_t r_(t + k) (twice for k > 0), row by row.
+        """Add the curvature of ½ Σ c_(t, k) r_t r_(t + k), where products with k > 0 count twice.
 
         Args:
             coefficients: c, for k from 0 on.
@@ -109,11 +109,11 @@ class Inverse:
     """
 
     within: Float[Tensor, "time n n"]
-    """(A⁻¹)_tt."""
+    """(A⁻¹)_tt: the block of frame t if the border is fixed."""
     onto: Float[Tensor, "time n m"]
-    """X_t."""
+    """X_t = (A⁻¹ B)_t: how frame t follows the border."""
     border: Float[Tensor, "m m"]
-    """S⁻¹."""
+    """S⁻¹ = (C - Bᵀ A⁻¹ B)⁻¹: the covariance of the border."""
 
 
 class Factor:
@@ -240,7 +240,7 @@ class Factor:
     def _frames_and_border(
         self, numbers: Float[Tensor, " numbers"]
     ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
-        """Split a vector into the numbers of the frames and those of the border."""
+        """Split a vector into the variables of the frames and those of the border."""
         time, n = self._frames
         return numbers[: time * n].view(time, n), numbers[time * n :]
 

@@ -57,7 +57,7 @@ class Curvature:
         )
 
     def keep(self, rows: Int64[Tensor, " kept"]) -> None:
-        """Remove the data of all other elements (problems) of the batch."""
+        """Keep the data of these elements of the batch only."""
         for name in ("pairs", "sy", "yy", "products", "live", "scale", "count"):
             setattr(self, name, getattr(self, name)[rows])
 
@@ -87,24 +87,24 @@ class Curvature:
         `added` are the elements whose newest pair has not taken part yet. An element without
         pairs goes by min(1, 1 / |g|_1) times its gradient, or by all of it where it is `scaled`.
         """
-        cautious = gradient.abs().sum(-1).reciprocal().clamp(max=1.0)
+        descent_scale = gradient.abs().sum(-1).reciprocal().clamp(max=1.0)
         if self.scaled:
-            cautious = torch.ones_like(cautious)
+            descent_scale = torch.ones_like(descent_scale)
         if self.used == 0:
-            return -cautious[:, None] * gradient
+            return -descent_scale[:, None] * gradient
         pairs = self.pairs[:, : self.used].flatten(1, 2)
         products = (gradient[:, None] @ pairs.mT).view(-1, self.used, 2)
         self._accept_or_drop_pair(added, products[added])
         self.products[:, : self.used] = products
 
         order = (self.count[:, None] + torch.arange(self.used, device=gradient.device)) % self.used
-        coefficients, scale = self._coefficients(order, products, cautious)
+        coefficients, scale = self._coefficients(order, products, descent_scale)
         found = -(scale[:, None] * gradient + (coefficients[:, None] @ pairs)[:, 0])
 
         slope = (found * gradient).sum(-1)
         descends = (slope < 0) & slope.isfinite()
         self.live &= descends[:, None]
-        return torch.where(descends[:, None], found, -cautious[:, None] * gradient)
+        return torch.where(descends[:, None], found, -descent_scale[:, None] * gradient)
 
     def _accept_or_drop_pair(
         self, rows: Int64[Tensor, " rows"], products: Float64[Tensor, "rows used 2"]
@@ -133,7 +133,7 @@ class Curvature:
         self,
         order: Int64[Tensor, "active used"],
         products: Float64[Tensor, "active used 2"],
-        cautious: Float64[Tensor, " active"],
+        descent_scale: Float64[Tensor, " active"],
     ) -> tuple[Float64[Tensor, "active twice_used"], Float64[Tensor, " active"]]:
         """Return coefficients with which H g is a sum of the pairs s and y, and that of g itself.
 
@@ -142,7 +142,7 @@ class Curvature:
         """
         rows = torch.arange(len(order), device=order.device)[:, None]
         live = self.live[rows, order]
-        scale = torch.where(live.any(-1), self.scale, cautious)
+        scale = torch.where(live.any(-1), self.scale, descent_scale)
         both = live[:, :, None] & live[:, None, :]
         place = rows[:, :, None], order[:, :, None], order[:, None, :]
         identity = torch.eye(order.shape[1], dtype=self.sy.dtype, device=order.device)

@@ -26,7 +26,7 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_FASTEST = 0.1  # smallest ratio expected between the gains of successive steps
+_FASTEST = 0.1  # ratio of a step's gain to that of the step before, if it converges fastest
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
@@ -36,15 +36,15 @@ class Quadratic:
     """Second-order models of several objectives at a state: value, gradient, Hessian."""
 
     value: Float[Tensor, "rows terms"]
-    """Weighted terms, E is their sum; no columns where there is no objective."""
+    """Weighted terms, whose sum is the objective; no columns where there is none."""
     gradient: Float[Tensor, "rows n"]
-    """g; the order of variables is that of a vector beside a `Banded` matrix."""
+    """Gradient g, its variables ordered as in a vector beside a `Banded` matrix."""
     hessian: Sequence[Banded]
-    """H of every problem, n rows and columns, not changed by the solver."""
+    """Hessian H of every problem, n rows and columns; the solver does not change it."""
 
 
 class Problem(ABC, Generic[X]):
-    """A batch of problems that do not depend on each other; `rows` are numbers of some of them."""
+    """A batch of independent problems; the arguments `rows` are indices of some of them."""
 
     @abstractmethod
     def model(self, x: X, rows: Int[Tensor, " rows"]) -> Quadratic:
@@ -72,9 +72,9 @@ class GaussNewton:
     max_iterations: int = 50
     tolerance: float = 1e-4
     """A problem has converged when the next step is expected to lower its objective by no more
-    than this share of it: gains shrink by the factor by which the last one did, or by ten."""
+    than this share. Its gain is extrapolated from the last two, to a tenth of the last or more."""
     scale: float = 0.0
-    """Objective, in its own unit, below which decreases are taken relative to this instead."""
+    """Value of the objective below which its decreases are taken relative to this value."""
     damping: float = 1e-3
     """Share of the Hessian's diagonal that it is raised by at first."""
     max_damping: float = 1e6
@@ -106,7 +106,7 @@ def minimise(
         model = problem.model(x, active)
         here = [runs[row] for row in active.tolist()]
         for run, terms in zip(here, model.value.double().cpu(), strict=True):
-            run.begin(terms)
+            run.begin_iteration(terms)
         x = _step_all(problem, x, active, model, here, options)
         active = active[[run.end is None for run in here]]
         if len(active) == 0:
@@ -117,7 +117,7 @@ def minimise(
             break
     if options.max_iterations == 0:
         for run, terms in zip(runs, problem.value(x, active).double().cpu(), strict=True):
-            run.begin(terms)
+            run.begin_iteration(terms)
     return x, _solution_of_runs(runs)
 
 
@@ -160,7 +160,7 @@ class _ProblemRun:
     gain: float = 0.0  # by how much the last step lowered the objective
     end: Termination | None = None
 
-    def begin(self, terms: Float[Tensor, " terms"]) -> None:
+    def begin_iteration(self, terms: Float[Tensor, " terms"]) -> None:
         """Record the terms at the start of an iteration."""
         self.evaluations += 1
         self.trace = self.trace or [terms]

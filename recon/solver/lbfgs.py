@@ -100,19 +100,19 @@ def _minimise(
     callback: Callable[[Progress], bool | None] | None,
 ) -> Solution:
     if len(start) == 0:
-        return BatchState.open(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
+        return BatchState.at_start(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
     every = torch.arange(len(start), device=start.device)
     values, gradient = _evaluate(objective, start, every)
     terms = values.double()
     value, largest = _to_host(terms.sum(-1), _largest_entry(gradient))
     resolution = max(torch.finfo(kind).eps for kind in (start.dtype, values.dtype))
     wolfe = WolfeConditions(settings.c1, settings.c2, settings.max_line_search, resolution)
-    ledger = BatchState.open(start, terms)
-    active = ActiveElements.begin(
+    state = BatchState.at_start(start, terms)
+    active = ActiveElements.at_start(
         start, terms, gradient, value, largest, settings.history, settings.scaled
     )
     reason = _reasons_to_end_at_start(settings, value, largest)
-    ledger.close(active, reason)
+    state.record_ends(active, reason)
     active.keep(reason == GOES_ON)
     active.direction = active.curvature.direction(active.gradient, active.element[:0])
 
@@ -133,13 +133,13 @@ def _minimise(
         slope[~np.isfinite(largest)] = np.inf
         verdict = searches.advance(value, slope, origin_slope, wolfe)
         active.improve(verdict.improved, x, gradient, terms, largest)
-        ledger.evaluations[active.number] = evaluations
+        state.evaluations[active.number] = evaluations
         spent = settings.max_evaluations is not None and evaluations >= settings.max_evaluations
         finished = verdict.finished | spent
         if not finished.any():
             continue
         moved = finished & (searches.low[0] > 0)
-        ledger.step(active, moved)
+        state.record_steps(active, moved)
         active.count_stalls(moved, settings.tolerance_decrease, settings.scale)
         # Searches end where even the full quasi-Newton step would decrease the value too little.
         size = np.maximum(np.abs(searches.origin), settings.scale)
@@ -152,12 +152,12 @@ def _minimise(
             (active.steepest & verdict.unreachable, Termination.NONFINITE),
             (active.steepest & verdict.unmoved, Termination.LINE_SEARCH),
             (
-                ledger.iterations[active.number] >= settings.max_iterations,
+                state.iterations[active.number] >= settings.max_iterations,
                 Termination.ITERATION_LIMIT,
             ),
             (np.full(len(moved), spent), Termination.EVALUATION_LIMIT),
         )
-        ledger.close(active, reason)
+        state.record_ends(active, reason)
         goes_on = reason == GOES_ON
         active.keep(goes_on)
         if (finished & goes_on).any():
@@ -165,12 +165,12 @@ def _minimise(
         if callback is None or not moved.any():
             continue
         # only `True` stops: callbacks may return anything else
-        if callback(ledger.progress(active, evaluations)) is True:
-            ledger.step(active, active.searches.low[0] > 0)  # searches that found a lower value
+        if callback(state.progress(active, evaluations)) is True:
+            state.record_steps(active, active.searches.low[0] > 0)  # steps to lower values only
             every_active = np.full(len(active.number), True)
-            ledger.close(active, _first_reason((every_active, Termination.STOPPED)))
+            state.record_ends(active, _first_reason((every_active, Termination.STOPPED)))
             break
-    return ledger.solution()
+    return state.solution()
 
 
 def _reasons_to_end_at_start(

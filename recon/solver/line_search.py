@@ -84,15 +84,15 @@ class LineSearches:
             width_before=np.empty(count),
             trials=np.empty(count, dtype=np.int64),
         )
-        searches.begin(np.ones(count, dtype=bool), value)
+        searches.restart(np.ones(count, dtype=bool), value)
         return searches
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Remove the line searches of all other elements of the batch."""
+        """Keep only the line searches of the elements in mask `rows`."""
         for field in fields(self):
             setattr(self, field.name, getattr(self, field.name)[..., rows])
 
-    def begin(
+    def restart(
         self, rows: Bool[np.ndarray, " active"], value: Float64[np.ndarray, " active"]
     ) -> None:
         """Restart the line searches of the elements in mask `rows` at step 1."""
@@ -160,7 +160,7 @@ class LineSearches:
         self, before: Float64[np.ndarray, "3 active"]
     ) -> Float64[np.ndarray, " active"]:
         """Return next, longer steps for searches whose objective still falls at `low`."""
-        with np.errstate(all="ignore"):  # searches with a bracket may divide by 0, and ignore this
+        with np.errstate(all="ignore"):  # divisions by 0 occur only where this result is unused
             advance = self.low[0] - before[0]
             reach = (cubic_minimiser(self.low, before) - self.low[0]) / advance
             return self.low[0] + advance * np.where(
@@ -171,7 +171,7 @@ class LineSearches:
 def cubic_minimiser(
     a: Float64[np.ndarray, "3 active"], b: Float64[np.ndarray, "3 active"]
 ) -> Float64[np.ndarray, " active"]:
-    """Return the minimum of the cubic through two points with given slopes; nan if none.
+    """Return where the cubic through two points with given slopes has its minimum; nan if none.
 
     a and b hold t, phi(t) and phi'(t). Nocedal & Wright, equation 3.59.
     """

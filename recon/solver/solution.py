@@ -20,7 +20,7 @@ Their sum over terms is minimised. Differentiable in the first argument; rows ar
 
 
 class Termination(enum.Enum):
-    """Reasons why an element is finished; the value is the sentence that a user reads."""
+    """Reasons why the minimisation of an element ended, each with the sentence for the user."""
 
     CONVERGED = "the objective's relative decrease fell below its tolerance"
     GRADIENT = "the gradient fell below its tolerance"
@@ -89,7 +89,7 @@ def joined_in_turn(solutions: Sequence[Solution]) -> Solution:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread, and on as many as before afterwards.
+    """Run torch on one thread, then restore the number of threads.
 
     Batches of small matrices gain nothing from several: threads that wait for each other spin, and
     where other processes want the processors too, that costs many times the work.

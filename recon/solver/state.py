@@ -1,4 +1,4 @@
-"""Bookkeeping of a batched solve: active elements, and the state of all."""
+"""Bookkeeping of a batched solve: the active elements, and the state of all elements."""
 
 from dataclasses import dataclass, fields
 
@@ -41,7 +41,7 @@ class ActiveElements:
     """The line search goes along the gradient: nothing is left to forget."""
 
     @classmethod
-    def begin(
+    def at_start(
         cls,
         start: Float[Tensor, "active n"],
         terms: Float64[Tensor, "active terms"],
@@ -123,7 +123,7 @@ class ActiveElements:
         found = self.curvature.direction(self.gradient, rows)
         self.direction = _rows_replaced(finished, found, self.direction)
         self.steepest = np.where(finished, ~moved, self.steepest)
-        self.searches.begin(finished, self.searches.low[1].copy())
+        self.searches.restart(finished, self.searches.low[1].copy())
 
     def indices(self, rows: Bool[np.ndarray, " active"]) -> Int64[Tensor, " rows"]:
         """Convert a mask on the host to indices on the device of the tensors."""
@@ -142,7 +142,7 @@ class BatchState:
     termination: list[Termination]
 
     @classmethod
-    def open(
+    def at_start(
         cls,
         start: Float[Tensor, "batch n"],
         terms: Float64[Tensor, "batch terms"],
@@ -158,7 +158,7 @@ class BatchState:
             termination=[Termination.ITERATION_LIMIT] * batch,
         )
 
-    def step(self, active: ActiveElements, moved: Bool[np.ndarray, " active"]) -> None:
+    def record_steps(self, active: ActiveElements, moved: Bool[np.ndarray, " active"]) -> None:
         """Count an iteration and store the terms of the elements that moved."""
         if not moved.any():
             return
@@ -171,7 +171,7 @@ class BatchState:
         iteration = torch.from_numpy(self.iterations[number]).to(rows.device)
         self.trace[active.element[rows], iteration] = active.best_terms[rows]
 
-    def close(self, active: ActiveElements, reason: Int64[np.ndarray, " active"]) -> None:
+    def record_ends(self, active: ActiveElements, reason: Int64[np.ndarray, " active"]) -> None:
         """Store the final variables and the reason of elements that have ended."""
         done = reason != GOES_ON
         if not done.any():

@@ -16,7 +16,7 @@ from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.findings import Findings
 from recon.diagnosis.misplaced import exchanged_pairs
-from recon.diagnosis.movement import motion_in_room, with_belt
+from recon.diagnosis.movement import in_belt_frame, motion_in_room
 from recon.diagnosis.named_points import NamedPoints, PredictedPoints
 from recon.diagnosis.points import screen_points
 from recon.method.protocols import Estimate
@@ -279,8 +279,8 @@ def test_giants_are_said():
 def test_a_treadmill_is_left_and_entered_again():
     belt = torch.tensor([-1.0, 0.2])
     clip = seen()
-    away = with_belt(clip, belt)
-    back = with_belt(away, -belt)
+    away = in_belt_frame(clip, belt)
+    back = in_belt_frame(away, -belt)
     assert torch.allclose(back.positions, clip.positions, atol=1e-5)
     motion = walk()
     moved = motion_in_room(motion, belt)
@@ -296,11 +296,12 @@ def test_a_walk_on_a_treadmill_is_told():
     step = motion.translation[-1] - motion.translation[0]
     belt = -step[:2] / ((motion.frames - 1) / motion.fps)
     clip = joints3d(motion, bundled(), Corruption(noise=0.005), 0).map(_batched)
-    on_belt = with_belt(clip, -belt)
+    on_belt = in_belt_frame(clip, -belt)
     found = checked(checked_clip(on_belt), BEFORE)
     assert [finding.code for finding in found.repairs] == ["treadmill"]
     assert torch.allclose(found.belt, belt, atol=0.15)
-    assert torch.equal(found.observations[0].positions, with_belt(on_belt, found.belt).positions)
+    moved = in_belt_frame(on_belt, found.belt)
+    assert torch.equal(found.observations[0].positions, moved.positions)
     # a camera that stays in the room
     beside = checked(checked_clip(on_belt, view(motion, cameras(motion)[0])), BEFORE)
     assert beside.belt is None

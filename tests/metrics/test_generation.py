@@ -52,7 +52,7 @@ def test_diversity_is_the_mean_over_pairs() -> None:
 def test_a_body_that_stands_stays_on_its_feet(standing: tuple[Tensor, Tensor]) -> None:
     joints, heights = standing
     torch.testing.assert_close(
-        metrics.lowest_foot(joints, heights), torch.zeros(151).double(), atol=1e-6, rtol=0
+        metrics.lower_foot_height(joints, heights), torch.zeros(151).double(), atol=1e-6, rtol=0
     )
     assert metrics.stays_on_its_feet(joints, heights, FPS)
 
