@@ -13,12 +13,15 @@ from priors.humor.prior import Humor
 from priors.humor.state import (
     Frame,
     State,
+    canonical_state,
     contact_probabilities,
     independent_features,
+    initial_features,
     posed_joints,
     state_after_step,
     states_of,
 )
+from priors.humor.steps import RARITY, heavy_tailed
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.model import BodyModel
@@ -48,6 +51,11 @@ class FootingSettings:
     """Candidates that are drawn for each next state, of which one is kept."""
     strictness: float = 4.0
     """A draw is kept with probability ∝ exp(-strictness · nats)."""
+    rarity: float = 0.2
+    """Weight of a draw's rarity (`Mixture.rarity`, nats) beside the nats of its feet.
+
+    States become rare before a body falls. Larger weights keep more bodies on their feet, but
+    these move less."""
     raised: float = 0.2
     """Share of the depth of a sunk foot by which the body is raised in every step."""
     lowered: float = 0.1
@@ -58,21 +66,24 @@ class FootingSettings:
         before: State,
         after: State,
         contact_heights: Float[Tensor, "all 4"],
+        rarity: Float[Tensor, " all"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
-        """Select one sample of each group of `draws`, those with a foot on the ground likelier.
+        """Select one sample of each group of `draws`, usual states on the ground likelier.
 
         Args:
             before: states in the world, each repeated for its draws.
             after: the draws.
             contact_heights: heights at which ankles and toes touch, metres.
+            rarity: of the draws, nats.
             random: of the choice.
         """
         height = after.joints[:, FEET, 2] - contact_heights
         speed = (after.joints - before.joints)[:, FEET].square().sum(-1) * REFERENCE_FPS**2
         foot_nats = foot_energy(height, speed).amin(-1)
         sunk = (-height - _SUNK).amax(-1).clamp(min=0) / _SUNK_SCALE
-        nats = _share_carried(before, after) * foot_nats + 0.5 * sunk.square()
+        ground_nats = _share_carried(before, after) * foot_nats + 0.5 * sunk.square()
+        nats = ground_nats + self.rarity * rarity
         likely = (-self.strictness * nats).unflatten(0, (-1, self.draws)).softmax(-1)
         chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(
             contact_heights.device
@@ -192,7 +203,9 @@ def roll_out_from(
         if footing is not None:
             if draws > 1:
                 assert random is not None
-                selected = footing.selected_draws(before, after, low, random)
+                features = initial_features(canonical_state(after, pelvis))
+                rarity = heavy_tailed(humor.initial.rarity(features), RARITY)
+                selected = footing.selected_draws(before, after, low, rarity, random)
                 after, touched = after[selected], touched[selected]
             after = footing.moved_towards_ground(states[-1], after, touching)
         states.append(after)
@@ -316,7 +329,8 @@ def first_states(
     """Draw canonical first states from the mixture, and the shapes of their bodies.
 
     The mixture knows no rotations. They and the shape are fitted to the drawn joints under the
-    pose prior; the state's joints are those of the fitted body.
+    pose prior; the state's joints are those of the fitted body. A body whose feet are drawn below
+    the ground z = 0 is raised onto it.
 
     Raises:
         ValueError: when the mixture is over other numbers than ours.
@@ -340,6 +354,10 @@ def first_states(
 
     prior = PosePrior.load(weights=PoseWeights(pose=1e-5, shape=1e-5))
     motion = _poses_fitted_to_joints(positions, shape, body, prior)
+    feet = body.pose(motion).joints[:, 0, FEET, 2]
+    touching = heights_in_contact(rest_heights(body, motion.shape))[:, FEET]
+    sunk = (touching - feet).amax(-1).clamp(min=0)
+    motion = motion.replace(translation=motion.translation + sunk[:, None, None] * (1 - level))
     return (
         State(
             translation=motion.translation[:, 0] * (1 - level),

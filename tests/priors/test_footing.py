@@ -40,8 +40,18 @@ def test_the_draw_whose_feet_rest_is_kept(stands) -> None:
     )
     footing = FootingSettings(draws=4, strictness=50.0)
     random = torch.Generator().manual_seed(0)
-    selected = footing.selected_draws(before, after, touching.expand(8, -1), random)
+    equal = torch.zeros(8)
+    selected = footing.selected_draws(before, after, touching.expand(8, -1), equal, random)
     assert selected.tolist() == [1, 6]
+
+
+def test_of_draws_that_stand_alike_the_usual_state_is_kept(stands) -> None:
+    state, touching = stands
+    before = several(state, 8)
+    rarity = torch.tensor([60.0, 70.0, 50.0, 60.0, 0.0, 20.0, 20.0, 20.0])
+    footing, random = FootingSettings(draws=4), torch.Generator().manual_seed(0)
+    selected = footing.selected_draws(before, before, touching.expand(8, -1), rarity, random)
+    assert selected.tolist() == [2, 4]
 
 
 def test_bodies_come_nearer_to_the_ground_but_fly_where_they_fly(stands) -> None:

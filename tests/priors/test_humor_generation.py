@@ -8,6 +8,7 @@ import torch
 from priors.humor import generation
 from priors.humor.generation import (
     body_at_joints,
+    first_states,
     predict,
     roll_out_from,
     sample,
@@ -23,9 +24,10 @@ from priors.humor.state import (
     states_of,
 )
 from priors.humor.unrolled import FrozenDecoder, roll_out
+from recon.body.contacts import heights_in_contact, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import padded_batch
-from recon.core.skeleton import CONTACT_JOINTS
+from recon.core.skeleton import CONTACT_JOINTS, FEET
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
 
@@ -129,7 +131,9 @@ def test_a_prediction_goes_on_from_the_last_frame_at_any_rate(body: BodyModel) -
 def test_samples_have_the_first_joints_that_were_drawn() -> None:
     body = BodyModel.load()
     prior = humor(body, still=True)
-    states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
+    high = motions().to(dtype=torch.float32)
+    high = high.replace(translation=high.translation + torch.tensor([0.0, 0.0, 0.5]))
+    states = states_of(high, body)[:, 0]
     wanted = initial_features(canonical_state(states, rest_pelvis(states)))[
         :, independent_features()
     ]
@@ -145,6 +149,13 @@ def test_samples_have_the_first_joints_that_were_drawn() -> None:
     features = joints[:, independent_features()[: 66 - 2]]
     nearest = torch.cdist(features, wanted[:, : 66 - 2]).amin(1)
     assert (nearest < 0.05).all()  # metres, over all joints; a draw is 1 mm off in each number
+    sunk = wanted.double().clone()
+    sunk[:, : 66 - 2 : 3] -= 1.5  # the heights
+    below = Mixture.create(torch.tensor([0.5, 0.5]), sunk, covariances, independent_features())
+    raised, shape = first_states(below, body, 6, torch.Generator().manual_seed(0))
+    touching = heights_in_contact(rest_heights(body, shape))[:, FEET]
+    lowest = (raised.joints[:, FEET, 2] - touching).amin(-1)
+    torch.testing.assert_close(lowest, torch.zeros(6), atol=1e-5, rtol=0)
     identity = torch.eye(138).expand(1, 138, 138)
     released = replace(prior, initial=Mixture.create(torch.ones(1), identity[0, :1], identity))
     with pytest.raises(ValueError, match="independent features"):
