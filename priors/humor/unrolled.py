@@ -226,7 +226,7 @@ def roll_out(
         latents: of every step.
     """
     added = decoder.constant_inputs(latents.transpose(0, 1), pelvis)
-    return _rollout(roll_out_with_biases(decoder, _to_loop_layout(start, pelvis), added), pelvis)
+    return _rollout(roll_out_with_biases(decoder, _to_decoder_order(start, pelvis), added), pelvis)
 
 
 def _rollout(steps: RolledOutSteps, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
@@ -244,21 +244,21 @@ def _rollout(steps: RolledOutSteps, pelvis: Float[Tensor, "batch 3"]) -> Rollout
         joints=vectors[..., JOINTS_OF_VECTORS, :] + origin[..., None, :],
         joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
     )
-    inputs = _from_loop_layout(steps.inputs.transpose(0, 1), pelvis[:, None])
+    inputs = _from_decoder_order(steps.inputs.transpose(0, 1), pelvis[:, None])
     return Rollout(inputs, states, contacts, HeadingRotation.like(turns).heading(turns))
 
 
-def _to_loop_layout(
+def _to_decoder_order(
     packed: Float[Tensor, "batch 339"], pelvis: Float[Tensor, "batch 3"]
 ) -> Float[Tensor, "batch 337"]:
     """Rearrange a canonical state to the layout of `FrozenDecoder`."""
     return (packed - _state_with_joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
 
 
-def _from_loop_layout(
+def _from_decoder_order(
     x: Float[Tensor, "*batch 337"], pelvis: Float[Tensor, "*#batch 3"]
 ) -> Float[Tensor, "*batch 339"]:
-    """The inverse of `_to_loop_layout`."""
+    """The inverse of `_to_decoder_order`."""
     return functional.pad(x, (0, 2))[..., _PLACES.to(x.device)] + _state_with_joints_at(pelvis)
 
 

@@ -23,7 +23,7 @@ _FARTHEST = 3.0
 """Movement, over this median, beyond which a landmark's cost no longer grows."""
 _INDEPENDENT = 0.25
 """Share of the landmarks that err independently of each other."""
-_VOTE = 0.05
+_EXCHANGE_COST = 0.05
 """Cost of exchanging left and right in one frame (log odds): small, as errors last for long."""
 _BODY_SIZE = 0.5
 """Size of the body, as a share of the side of its region."""
@@ -69,35 +69,39 @@ def _with_sides_named(
         size: of the body, pixels.
         frames: numbers of the frames, rising.
     """
-    hypotheses = np.concatenate((seen, seen[:, :, MIRRORED]), 1)
-    path = _likeliest_hypotheses(hypotheses, size, frames)
+    namings = np.concatenate((seen, seen[:, :, MIRRORED]), 1)
+    path = _likeliest_sides(namings, size, frames)
     rows = np.arange(len(path))
-    chosen, other = hypotheses[rows, path], seen[rows, 1 - path % 2]
+    chosen, other = namings[rows, path], seen[rows, 1 - path % 2]
     turned = other[:, MIRRORED]
     apart, crossed = (np.linalg.norm(chosen - one, axis=-1).mean(1) for one in (other, turned))
     return chosen, np.where((crossed < apart)[:, None, None], turned, other)
 
 
-def _likeliest_hypotheses(
-    hypotheses: Float[np.ndarray, "frames 4 33 2"],
-    size: Float[np.ndarray, " frames"],
+def _likeliest_sides(
+    namings: Float[np.ndarray, "frames 4 33 2"],
+    body_size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
-    """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
+    """Return which of four namings of left and right is likeliest in each frame of a film.
+
+    The landmarks of the likeliest ones move least. 0 and 1 are as found in the image and in its
+    mirror image, 2 and 3 the same with left and right exchanged.
+    """
     # exchanged sides cost 2, kept ones 0; both cost 1 where the mirror image names them otherwise
     distance_as_named, distance_exchanged = (
-        np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
+        np.linalg.norm(namings[:, 0] - namings[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
     doubt = (distance_exchanged < distance_as_named).astype(float)
-    votes = _VOTE * np.stack((doubt, doubt, 2 - doubt, 2 - doubt), 1)
-    moved = np.linalg.norm(hypotheses[1:, :, None] - hypotheses[:-1, None], axis=-1)
-    moved /= size[1:, None, None, None]
+    naming_cost = _EXCHANGE_COST * np.stack((doubt, doubt, 2 - doubt, 2 - doubt), 1)
+    moved = np.linalg.norm(namings[1:, :, None] - namings[:-1, None], axis=-1)
+    moved /= body_size[1:, None, None, None]
     usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
     spread = np.clip(usual, *_SPREADS) * np.diff(frames)
     far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
-    # cost of the movement from a hypothesis in one frame to a hypothesis in the next
+    # cost of the movement from a naming in one frame to a naming in the next
     change = (_INDEPENDENT * np.square(far).sum(-1) / 2).swapaxes(-1, -2)
-    path = cheapest_path(torch.from_numpy(votes)[None], torch.from_numpy(change)[None])
+    path = cheapest_path(torch.from_numpy(naming_cost)[None], torch.from_numpy(change)[None])
     return path[0].numpy()
 
 

@@ -100,7 +100,7 @@ class LineSearches:
         self.origin[rows] = value[rows]
         self.low[0, rows] = 0.0
         self.low[1, rows] = value[rows]
-        self.low[2, rows] = np.nan  # known after the first trial
+        self.low[2, rows] = np.nan  # slope at the origin, unknown before the first trial
         self.high[:, rows] = np.inf
         self.width[rows] = self.width_before[rows] = np.inf
         self.trials[rows] = 0

@@ -9,7 +9,7 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.filmed import walk
-from training.labels.rooms import body_points, drawn_room, room_points
+from training.labels.rooms import body_points, drawn_room, simulated_room_points
 from training.labels.shards import (
     Postures,
     Source,
@@ -39,8 +39,8 @@ def test_points_lie_where_their_labels_say(people):
     places = body.template.double().numpy()
     upright = places[:, [2, 0, 1]] + [0.0, 0.0, 1.3]
     room = drawn_room(upright[None], random)
-    for left_over in ("nothing", "ball", "box"):
-        seen = room_points(upright, body.faces.numpy(), places, room, left_over, random)
+    for background in ("nothing", "ball", "box"):
+        seen = simulated_room_points(upright, body.faces.numpy(), places, room, background, random)
         on = seen.on_body > 0
         assert on.sum() > 200
         away = np.linalg.norm(
@@ -49,7 +49,7 @@ def test_points_lie_where_their_labels_say(people):
         # noise lies along the view, and grows with the distance
         assert np.median(away) < 0.04
         assert np.abs(seen.places[~on]).max(initial=0) == 0
-        if left_over == "box":
+        if background == "box":
             assert (~on).sum() > 10
     scanned = body_points(upright, body.faces.numpy(), places, 500, random)
     on = scanned.on_body > 0
@@ -111,7 +111,8 @@ def test_the_bundled_network_tells_the_regions_of_a_walker_but_for_sides():
     regions = Regions.of(body).of_vertex
     labeller, right, strays = CloudLabeller.load(), [], []
     seen = [
-        room_points(row, body.faces.numpy(), places, room, "nothing", random) for row in vertices
+        simulated_room_points(row, body.faces.numpy(), places, room, "nothing", random)
+        for row in vertices
     ]
     for each in seen:
         pick = random.permutation(len(each.points))[:512]

@@ -43,7 +43,7 @@ class Room:
     furniture: FurnitureMesh
     wall: float
     """Distance of a wall behind the person from the sensor, metres; it faces the sensor."""
-    blotches: float
+    correlated_noise: float
     """Standard deviation of the noise that neighbouring pixels share, metres."""
 
     @property
@@ -89,16 +89,16 @@ def drawn_room(
         sensor=sensor,
         furniture=joined_meshes(pieces),
         wall=away + random.uniform(0.4, 3.0),
-        blotches=random.choice([0.0, 0.003, 0.01]) * random.random(),
+        correlated_noise=random.choice([0.0, 0.003, 0.01]) * random.random(),
     )
 
 
-def room_points(
+def simulated_room_points(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     places: Float[np.ndarray, "vertices 3"],
     room: Room,
-    left_over: str,
+    background: str,
     random: np.random.Generator,
 ) -> LabelledPoints:
     """Simulate the points that a room's sensor measures of a person and of things nearby.
@@ -108,18 +108,18 @@ def room_points(
         faces: of the person.
         places: of the vertices on the unposed average body, metres.
         room: where it happens.
-        left_over: beside the body: `nothing`, what lies in a `ball` about one of its points, or
+        background: beside the body: `nothing`, what lies in a `ball` about one of its points, or
             what lies in a `box` about the body.
         random: source of chance.
     """
     depth, seen, surface = _rendered_image(vertices, faces, places, room)
     noisy = measured_depth(depth, room.camera, room.sensor, random)
-    noisy = np.where(noisy > 0, noisy + room.blotches * _correlated_noise(random), 0.0)
+    noisy = np.where(noisy > 0, noisy + room.correlated_noise * _correlated_noise(random), 0.0)
     row, column = np.nonzero(noisy)
     true, found = depth[row, column], noisy[row, column]
     here = surface[row, column]
     points = _world_points(room.camera, row, column, found)
-    noise = np.hypot(room.sensor.deviation(true), room.blotches)
+    noise = np.hypot(room.sensor.deviation(true), room.correlated_noise)
     body = (here == PixelSurface.BODY) & (
         np.abs(found - true) < np.maximum(_FLIES, _NOISE * noise)
     )
@@ -127,11 +127,11 @@ def room_points(
     on = np.flatnonzero(body)
     if len(on) == 0:
         return LabelledPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
-    if left_over == "ball":
+    if background == "ball":
         centre = points[on[random.integers(len(on))]]
         near = np.linalg.norm(points - centre, axis=1) < random.uniform(0.15, 0.7)
         kept = kept | near
-    elif left_over == "box":
+    elif background == "box":
         low, high = points[on].min(0), points[on].max(0)
         margin = random.uniform(0.02, 0.4, 3)
         near = ((points > low - margin) & (points < high + margin)).all(1)

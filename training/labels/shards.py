@@ -20,7 +20,7 @@ from recon.core.raster import differentiable_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.simulation.scenery import Clothing, clothed, random_field
 from training.labels.clouds import POINTS, LabelledClouds
-from training.labels.rooms import LabelledPoints, body_points, drawn_room, room_points
+from training.labels.rooms import LabelledPoints, body_points, drawn_room, simulated_room_points
 from training.run import LOG
 from training.settings import TrainingSettings
 
@@ -183,7 +183,7 @@ _SUITS = 150
 """Different clothes that people wear."""
 _LEAST = 60
 """Points of the body that a moment must show, on average of a window."""
-_LEFT_OVER = ("nothing", "ball", "box")
+_BACKGROUNDS = ("nothing", "ball", "box")
 
 
 @dataclass(frozen=True)
@@ -285,5 +285,7 @@ def draw_window(
     if random.random() < 0.15:
         return [body_points(row, faces, places, POINTS, random) for row in vertices], None
     room = drawn_room(vertices, random)
-    left_over = str(random.choice(_LEFT_OVER, p=[0.5, 0.2, 0.3]))
-    return [room_points(row, faces, places, room, left_over, random) for row in vertices], room.eye
+    background = str(random.choice(_BACKGROUNDS, p=[0.5, 0.2, 0.3]))
+    return [
+        simulated_room_points(row, faces, places, room, background, random) for row in vertices
+    ], room.eye
