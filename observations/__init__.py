@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from observations.joints3d import Joints3D as Joints3D
     from observations.markers3d import Markers3D as Markers3D
 
-from recon.core.plugins import lazy_names  # after the check: other packages lack it
+from recon.core.plugins import lazy_names  # after the check that this is our package `recon`
 
 _HOMES = {"Joints3D": "observations.joints3d", "Markers3D": "observations.markers3d"}
 

@@ -52,7 +52,7 @@ def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypo
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
-    inverse = view.camera.derived(T_camera_world=T).T_world_camera  # a camera inverts its pose
+    inverse = view.camera.derived(T_camera_world=T).T_world_camera  # the property inverts `T`
     return view.derived(camera=view.camera.derived(T_camera_world=inverse))
 
 
@@ -148,7 +148,7 @@ def triangulate(
         vector = vector + (across @ origin[..., None])[..., 0]
         seen = (view.confidence > 0).to(ray)
         spread, count = spread + seen[..., None] * ray, count + seen
-    # the sum of n unit vectors at small angles a (radians) to their mean is n (1 - a²/2) long
+    # unit rays at small angles a (radians) to their mean direction have a mean of length 1 - a²/2
     narrow = (spread.norm(dim=-1) / count.clamp(min=1)).clamp(max=1)
     exists = (count >= 2) & (2 * (1 - narrow) > (_LEAST_ANGLE / 2) ** 2)
     solvable = torch.where(exists[..., None, None], matrix, torch.eye(3).to(matrix)).double()

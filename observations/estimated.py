@@ -59,7 +59,7 @@ class ErrorCovariance:
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
         slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])
-        # larger at higher frame rates, so that a second of data says equally much at any rate
+        # jitter grows with the frame rate, so that a second of data says equally much at any rate
         jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
         variance = jitter.clamp(max=_UNSEEN).square()
         return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)

@@ -78,7 +78,7 @@ class Keypoints3D(TrackedPoints):
             points = BodyPoints.of_names(tuple(points), BodyModel.load())
         if fingers is not None:
             fingers = checked_fingers(fingers, positions, 4)
-        # keypoints on the skin have no place on other meshes than the bundled one: unseen there
+        # only the bundled mesh has places for keypoints on the skin; on others they are unseen
         self._set_measured(
             positions, visible, (fps, start_time), std, ("points", points.bones), points.known,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows, points=points,

@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a tensor: torch rounds the quotient of a Python number and a tensor in another way
+        # made a tensor, since torch rounds number / tensor and tensor / tensor differently
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from priors.humor.shooting import Shooting as Shooting
     from priors.pose.prior import PosePrior as PosePrior
 
-from recon.core.plugins import lazy_names  # after the check: other packages lack it
+from recon.core.plugins import lazy_names  # after the check that this is our package `recon`
 
 _HOMES = {
     "Collocation": "priors.humor.collocation",

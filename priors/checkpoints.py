@@ -172,6 +172,6 @@ def weights_path(name: str | Path, kind: str) -> Path:
     if name != "open":
         return Path(name)
     found = find_spec("priors")
-    assert found is not None  # `recon` and `priors` are installed together
+    assert found is not None  # `priors` is always there: it is installed with `recon`
     assert found.origin is not None
     return Path(found.origin).parent / "weights" / f"{kind}.safetensors"

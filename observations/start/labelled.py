@@ -262,7 +262,7 @@ def _frames_to_pose(
         if k - kept[-1] >= stride or k == int(frame_index[-1]):
             kept.append(k)
     frame_index = torch.tensor(kept)
-    # random order, present points first, so that the points that are kept cover all scan lines
+    # random order, present points first: the first `_POINTS`, which are kept, cover all scan lines
     order = (
         present[frame_index].float()
         + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2

@@ -47,7 +47,7 @@ def planted_translations(
     anchor = middle[stance, 0, :2].copy()
     for t in range(len(path)):
         other = 1 - stance
-        # the height of the whole foot decides: toes of a swinging foot pass close above the ground
+        # which foot stands, whole feet tell: toes of a swinging foot pass close above the ground
         if len(feet) > 1 and middle[other, t, 2] < middle[stance, t, 2] - _LOWER:
             here = anchor - middle[stance, t, :2]
             stance, anchor = other, here + middle[other, t, :2]

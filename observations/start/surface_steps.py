@@ -180,7 +180,7 @@ def misfits_of_frames(
     shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
     if eye is not None:
         shown = are_facing_eye(middles, normals, eye)
-    centre = points.mean(1, keepdim=True)  # small coordinates lose fewer digits in products
+    centre = points.mean(1, keepdim=True)  # subtracted: products of small numbers round less
     squared = squared_distances(points - centre, middles - centre)
     nearest = squared.masked_fill(~shown[:, None], torch.inf).amin(-1)
     share = (nearest / (nearest + _HALF_COUNTED**2)).nan_to_num(1.0).where(present, 0.0)

@@ -196,7 +196,7 @@ class Collocation(Prior[PoseVariables]):
         optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
         images are fitted. So do clouds, in which limbs may be hidden without being marked so.
         """
-        del noise, body, method  # unused: the constructor took weights for this noise
+        del noise, body, method  # unused: the constructor got weights for the sensors' noise
         w = self.weights
         surface = all(getattr(term.energy, "sees", None) == "surface" for term in data)
         latents = w.latents * (_LATENTS_OF_SURFACE if surface else 1.0)

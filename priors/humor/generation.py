@@ -348,7 +348,7 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # what the mixture lacks of the pelvis, x, y and velocity, the rest pose and translation tell
+    # the mixture lacks the pelvis's x and y (those at rest) and its velocity (the translation's)
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

@@ -74,7 +74,7 @@ class LiveSteps:
         humor, weights = self.humor, self.weights
         states = posed_states(motion, joints)
         found = posterior_outputs(humor.networks, states, humor.pelvis(motion.shape))
-        # leave out the step from a held first frame: its velocity needs a frame that was dropped
+        # no step from a held first frame: its velocity needs the frame before, which was dropped
         steps = slice(min(held, 1), None)
         error = 0.5 * (found.error[0, steps] @ humor.error_whitening).square().sum(-1)
         surprise = found.surprise[0, steps]

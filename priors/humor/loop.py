@@ -258,7 +258,7 @@ class _RollOut(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients by each step's start, output and rotations; each adds to the one before in time
+        # gradients by steps' starts, outputs, rotations; later steps' are added to earlier ones'
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

@@ -63,7 +63,7 @@ class Mixture(TensorStruct):
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
-        from recon.formats.opening import load_arrays  # imported only for authors' files
+        from recon.formats.opening import load_arrays  # imported only for HuMoR's own files
 
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")

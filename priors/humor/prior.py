@@ -185,7 +185,7 @@ def _converted_prior(humor: Humor, device: torch.device, dtype: torch.dtype) -> 
 @lru_cache(maxsize=1)
 def _bundled_prior() -> Humor:
     """Load the prior with the packaged weights and the bundled body; cached."""
-    with torch.inference_mode(False):  # inference tensors would be unusable in later fits
+    with torch.inference_mode(False):  # autograd refuses inference tensors
         weights = read_weights("open")
         initial, whitening = mixture_from(weights), whitening_from(weights)
         assert initial is not None

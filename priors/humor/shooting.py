@@ -166,7 +166,7 @@ class Shooting(Prior[HumorVariables]):
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
-        del noise, body, method  # unused: the constructor took weights for this noise
+        del noise, body, method  # unused: the constructor got weights for the sensors' noise
         if self.data_weights is not None:
             data = tuple(_with_sensor_weight(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))

@@ -81,7 +81,7 @@ class Steps(TensorStruct):
             ),
             -2,
         )
-        # translations are relative to the frame's origin; joints are also rotated about the pelvis
+        # subtract the origin (and the pelvis from joints), rotate, and add the pelvis again
         minus, plus = _offset_matrices(vectors.dtype, vectors.device)
         ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - minus @ level
         turned = ends @ frame.turn.mT + plus * pelvis[:, None, None]

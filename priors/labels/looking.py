@@ -160,7 +160,7 @@ def widest_direction(
         away = away - (away * across[:, None]).sum(-1, keepdim=True) * across[:, None]
     axis = torch.linalg.eigh(away.mT @ away / count).eigenvectors[..., -1]
     if across is not None:
-        # where all points lie on one line, any axis perpendicular to it serves
+        # where all points lie on one line, `axis` may be any direction perpendicular to it
         axis = axis - (axis * across).sum(-1, keepdim=True) * across
         other = torch.eye(3).to(points)[across.abs().argmin(-1)]
         other = other - (other * across).sum(-1, keepdim=True) * across

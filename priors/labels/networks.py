@@ -359,7 +359,7 @@ def _surface_features(
     rows += [angles.sin(), angles.cos()]
     for patch in (near, wide):
         facing = (patch.normal * view).sum(-1, keepdim=True)
-        # without a sensor, or on surfaces seen edge-on, a normal's sign is unsure: it goes to zero
+        # normals whose sign is unsure (no sensor, or a surface seen edge-on) become zero
         normal = patch.normal * (_SIGN * facing).tanh()
         normals.append(normal)
         rows += [normal, facing.abs(), _SIZE * patch.covariance, 10 * patch.flatness[..., None]]

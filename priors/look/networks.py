@@ -164,7 +164,7 @@ class _ConvolutionAndAttention(nn.Module):
         first, second, third = self.norms
         shown = exists[..., None]
         around = functional.pad(first(x) * shown, (0, 0, _NEAR // 2, _NEAR // 2))
-        # a sum of shifted products, with its derivative, is faster than a grouped convolution
+        # a sum of shifted products and its derivative take less time than a grouped convolution
         parts = (w * around[:, k : k + x.shape[1]] for k, w in enumerate(self.near))
         x = x + sum(parts, self.bias)
         asked = self.ask(second(x)).unflatten(-1, (3, _HEADS, -1)).movedim(-3, 0)

@@ -215,7 +215,7 @@ def _labelled_markers(
     before = np.array(seen.marker_names)[points[held]]
     after = np.array(names)[naming.marker[numbers[held]]]
     other = after[(before != after) & np.isin(before, names)]
-    if len(other):  # the recording had names of its own, some of them wrong
+    if len(other):  # some points had the name of another marker
         which = [f"{name} ({count})" for name, count in Counter(other.tolist()).most_common()]
         said.append(f"{len(other)} points had another marker's name: {listed(which)}")
     recording = dataclasses.replace(

@@ -52,14 +52,14 @@ def observations_to_fit(
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
         how = replace(FitSettings(**vars(how_read)), robust=cutoff, ground=plane, between=between)
-        # the two readers are only imported when files or arrays are given
+        # each of the two readers, one of files and one of arrays, is imported only when needed
         if paths:
             from recon.reading.clip import load_clip as read
         else:
             from recon.reading.geometries import load_geometries as read
         given = read(paths or geometries, how, body)
         if given.ground_given:
-            ground = "auto"  # the reader already placed a camera of unknown pose above the ground
+            ground = "auto"  # the reader already applied the given ground
     elif names := how_read.changed_names():
         raise ReconError(
             f"{', '.join(names)}: options for reading files, but the observations are not files; "
@@ -158,7 +158,7 @@ def _completed_recording(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
     """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
-    # imported only when a recording is completed
+    # imported only when a gait cycle or a sparse recording is completed
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording
 

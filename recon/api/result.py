@@ -299,10 +299,10 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach()
     first = clip.observations[0]
-    # completed data may have few frames per second; then the result has the fit's frame rate
+    # a completed recording may have fewer frames per second than the fit: keep the higher rate
     rate = max(first.fps, motion.fps) if completes else first.fps
     seen = max(one.start_time - motion.start_time + one.duration for one in clip.observations)
-    # a motion at the 30 Hz of HuMoR's networks may end up to one frame after the data
+    # a motion at the 30 Hz of HuMoR's networks may outlast the data by up to one frame: cut it
     duration = motion.duration if completes else min(seen, motion.duration)
     motion = motion.resample(rate if fps is None else fps, duration)
     T, ground = found.T_world_recording[0].double().clone(), 0.0 if found.grounded else None
@@ -315,7 +315,7 @@ def result_of(
         T[2, 3] = 0.0
     T_world_camera = None
     T_recording_camera = clip.T_recording_camera
-    if found.lens_found:  # with another focal length the camera has another position
+    if found.lens_found:  # a fitted focal length moves the camera
         T_recording_camera = unposed_camera(found.observations)
     if T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()

@@ -138,14 +138,14 @@ class _Conversion:
                 surveyed[content.clip.id] = found
         groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
-            # clips whose survey failed, or that have ended since, are left out
+            # clips whose survey failed, or that were converted or failed since, are left out
             if clip.id in surveyed and clip.id not in self.ended:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
         waiting = [
             job for group in groups.values() for job in self._group_if_waiting(group, checksums)
         ]
-        # calibrated in small groups, so that a killed run loses only the calibrations of one group
+        # calibrate in small groups, so that a killed run loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
             self._calibrate_and_convert(
                 waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums

@@ -200,7 +200,7 @@ def _shape_with_measures(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     height_of, weight_of = exact.height, partial(body_weight, exact)
     metres, kilograms = wanted.height, wanted.weight
     if isinstance(metres, _FromAverage):
-        # height is linear in coefficients of std 1: its std is the length of its gradient
+        # height is linear in shape coefficients of std 1: its std is the length of its gradient
         values, slopes = _values_and_gradients(base, (height_of,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, _FromAverage):

@@ -71,7 +71,7 @@ class Levers(TensorStruct):
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
-        # a lever arm begins at the turning joint: subtract its position times the shares below it
+        # an arm starts at the turning joint: subtract its position × the weights that turn with it
         shares_below = torch.diag_embed(points.share @ below.mT)
         arms[..., 3] -= shares_below
         return cls(

@@ -60,7 +60,7 @@ _LEGS = {
     ),
     "rajagopal2016": (
         _HIP,
-        # flexion of knees and toes is positive, unlike in OpenSim's model gait2392
+        # in rajagopal2016, unlike in gait2392, flexion of knees and toes is positive
         _Joint("femur", "tibia", ("knee_angle", "", ""), (_negative_axis(_Z), _X, _Y)),
         _ANKLE,
         _Joint("foot", "toes", ("mtp_angle",), (_negative_axis(_MTP),)),

@@ -47,7 +47,7 @@ def part_volumes(
         _KNOWN[parts.of_vertex] = Openings.of(parts)
     openings = _KNOWN[parts.of_vertex]
     edges = _corners_of_faces(vertices, openings.edges)
-    # each vertex of a loop begins one of its edges, so these means are those of all its vertices
+    # each vertex of a loop is the start of one edge: the mean of starts is the mean of vertices
     centres = _group_means(edges[..., 0, :], openings.loop_of_edge, len(openings.part_of_loop))
     of_edge = openings.part_of_loop[openings.loop_of_edge]
     apex = centres.index_select(-2, openings.loop_of_edge)

@@ -64,7 +64,7 @@ def check_inputs(given: Mapping[str, Any]) -> None:
 def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
     for name, value in given.items():
         for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, Path) and (name != "set" or one.suffix):  # `--set pig`: no path
+            if isinstance(one, Path) and (name != "set" or one.suffix):  # `--set pig` is no path
                 yield name, one
             elif is_dataclass(one):
                 yield from _named_paths({f.name: getattr(one, f.name) for f in fields(one)})

@@ -77,7 +77,7 @@ def command_function(name: str, verb: Verb) -> Callable[..., None]:
     def run(**arguments: Any) -> None:
         running.run(verb.function_name, [place.parameter for place in verb.places], arguments)
 
-    # the type checker of the tests wraps `run`: the wrapped function gets the name, too
+    # the type checker of the tests wraps `run`: name both the wrapper and the wrapped function
     for one in {run, unwrap(run)}:
         one.__name__, one.__doc__ = name, ast.get_docstring(function)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}

@@ -78,7 +78,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
             f"`recon {name} --help` lists its options"
             + (f"; a file of this name is ./{word}" if "." in word else "")
         )
-    # let tyro report all other errors
+    # all other errors are reported by tyro, the parser
     return ask()
 
 

@@ -40,7 +40,7 @@ def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
         return import_module(name)
     except ImportError as error:
         lacking = "is not installed"
-        if not isinstance(error, ModuleNotFoundError):  # it is installed, but fails when loaded
+        if not isinstance(error, ModuleNotFoundError):  # the package fails while it is loaded
             lacking = f"cannot be loaded ({error})"
         raise ReconError(
             f"{purpose} needs the package {package}, which {lacking}: "

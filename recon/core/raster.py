@@ -57,7 +57,7 @@ def rasterise(
     near, far = (float(end(depth[faces])) for end in (np.min, np.max))
     if not near > 0:
         raise ValueError(f"faces must lie in front of the viewer, got depths from {near:.3g} on")
-    beyond = (1 + _SLACK / 2) * far  # deeper pixels are empty: they lie on the far plane
+    beyond = (1 + _SLACK / 2) * far  # pixels deeper than this show no face
     near, far = (1 - _SLACK) * near, (1 + _SLACK) * far
 
     corners = np.empty((len(pixels), 3), np.float32)

@@ -58,7 +58,7 @@ class _Exponential(torch.autograd.Function):
         skew = turned - turned.mT
         axial = torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
         across = torch.linalg.cross(vector, axial)
-        # the transposed left Jacobian: I - b K + d K²
+        # multiplied by the transposed left Jacobian I - b K + d K², where K x = vector × x
         return axial - b[..., None] * across + d[..., None] * torch.linalg.cross(vector, across)
 
 

@@ -67,7 +67,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or "
             "DeepLabCut's header rows scorer, bodyparts, coords"
         )
-    # in tables of labelled images, columns without a header come first: the image's path
+    # tables of labelled images begin with columns of the image's path, which have no header
     blank = next((k for k, part in enumerate(header["bodyparts"]) if part), 0)
     header = {key: cells[blank:] for key, cells in header.items()}
     parts, width = header["bodyparts"], len(header["coords"])

@@ -117,7 +117,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     shape = (gradient / gradient.norm()).to(deviations.shape)
     return replace(
         deviations,
-        # the error lies along the camera's ray; its variance is divided equally among three axes
+        # errors of distance lie along the camera's ray; the variance is divided among three axes
         joints=(deviations.joints.square() + (size_std * distance).square() / 3).sqrt(),
         shape=(deviations.shape.square() + shape.square()).sqrt(),
         ground=ground,

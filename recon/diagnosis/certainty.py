@@ -43,7 +43,7 @@ def isb_derivatives(body: BodyModel) -> Measure | None:
     def derivatives(motion: Motion) -> Float[Tensor, "time angles 66"]:
         return torch.from_numpy(isb_angle_derivatives(motion, body)).to(motion.translation)
 
-    # the angles need landmarks, which are only defined on the bundled body
+    # ISB joint angles need landmarks, which are only defined on the bundled body
     return derivatives if body.checksum == BodyModel.load().checksum else None
 
 
@@ -91,7 +91,7 @@ def certainty(found: ClipFit) -> Deviations | None:
             return None
     if not views_of(found.observations):
         return known
-    # images alone do not show how large a person is
+    # images alone do not show a person's size, and then joints are less certain
     from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 
     with torch.no_grad():

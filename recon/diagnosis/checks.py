@@ -227,7 +227,7 @@ def body_findings(found: ClipFit) -> Findings:
     posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
     odd = float(posed.shape.abs().max())
-    # markers declared as on the skin may stand off it: shapes then vary in a larger range
+    # shapes fitted to markers declared as on the skin vary more, since some stand off the skin
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = _likely_causes(found.observations)
     said = height_findings(tall, sizes, may_be_child=not views)
@@ -264,7 +264,7 @@ def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 @after_fit()
 def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
-    # feet off the calibrated ground mean wrong units, under which falls show no frame rate
+    # if feet are off calibrated cameras' ground, units are wrong, and falls tell no frame rate
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )

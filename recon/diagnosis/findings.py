@@ -38,7 +38,7 @@ Code = Literal[
     "residual",  # residuals are larger than the noise explains, for an unknown reason
     "body size",  # the fitted height or shape is outside the human range
     "body surface",  # the surfaces of two bodies, between which a motion is transferred, differ
-    "distance",  # a camera would be nearer or farther than people are filmed
+    "distance",  # the fit puts a camera nearer or farther than people are filmed from
     "gap",  # a stretch of frames without data
     "few moments",  # so few frames a second were seen that footsteps between them may be missed
     "jump",  # the fitted body moves faster between two frames than the observed points do

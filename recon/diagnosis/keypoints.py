@@ -373,7 +373,7 @@ def screen_group(images: Images) -> tuple[Images, Findings]:
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # exchanged sides show only under correct poses: search anew
+    if contradictions.repairs:  # corrected views may show exchanged sides: search again
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

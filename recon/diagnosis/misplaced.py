@@ -59,7 +59,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
         own = sum(float(misfit[ends][ends[1]]) for ends in touched)
-        if own <= max(best, _MIN_LENGTH_SAVED_M):  # an exchange saves at most `own`
+        if own <= max(best, _MIN_LENGTH_SAVED_M):  # an exchange lowers the misfit by at most `own`
             continue
         new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
         if own - new > max(best, _MIN_LENGTH_SAVED_M) and new < _MAX_REMAINING_SHARE * own:
@@ -184,7 +184,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
-        # even counts only: an odd one leaves open whether the first or the last frame is wrong
+        # skip odd numbers of exchanges, which leave open whether the first or last frame is wrong
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _after_odd_count(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]

@@ -129,7 +129,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
     if not groups:
         return ()
     versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
-    # fit each version alone: `quick_fits` of several ends early if the first of them fits well
+    # fit each version alone, since `quick_fits` of several stops once the first fits well
     excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))

@@ -351,7 +351,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # errors of fitted velocities act like a wrong clock: subtract their expected part
+        # errors of fitted velocities look like a clock offset: subtract what they add on average
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())

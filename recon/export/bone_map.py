@@ -255,7 +255,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
         found["head"] = max(numbered, key=lambda k: len(tree.path_to_root(k)))
-    # toes (left_foot) choose last, after ankles: a bone called foot is the toes if it is no ankle
+    # ankles come before toes (joint left_foot): a bone called foot is the toes if it is no ankle
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
         if not free:

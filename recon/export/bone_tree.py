@@ -75,7 +75,7 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
     head = tree.path_below(chest, top)
     if not head:
         return {}
-    # the last bone of a longer chain is the tip of the head, not its joint
+    # of three or more bones above the chest, the last is the tip of the head, not its joint
     found["head"] = head[-2] if len(head) > 2 else head[-1]
     chains = [_leg_joints(legs[0], places), _leg_joints(legs[1], places)]
     ahead = sum((places[one[3]] - places[one[2]] for one in chains if len(one) > 3), np.zeros(3))

@@ -103,7 +103,7 @@ class Limb:
         """Make a leg or arm of the rig, with the person's contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
-        # an arm's tip begins at the elbow, as the forearm can be lower than a hand on the ground
+        # an arm's tip is all from the elbow on: the forearm can be lower than a hand on the ground
         end = chain[1 if names == ARM else 2]
         tip = tuple(k for k in rig.rest if end in tree.path_to_root(k))
         return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)

@@ -56,7 +56,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _amass_arrays(moved, target, _SMPLX_JOINTS, gender)
-    others = arrays["poses"][:, 3 * len(JOINTS) :]  # of jaw and eyes, which are at rest, and hands
+    others = arrays["poses"][:, 3 * len(JOINTS) :]  # poses of jaw, eyes (both at rest) and hands
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),

@@ -258,7 +258,7 @@ def _poses_above_floor(
     _, turn, place = cv2.solvePnP(board.points, mean, *lens.lens)
     T_camera_board = np.eye(4)
     T_camera_board[:3, :3], T_camera_board[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
-    # the lying board's z axis points into the floor, the world's up: turn it about the x axis
+    # a lying board's z axis points into the floor, the world's upwards: turn by 180° about x
     T_first_world = np.linalg.inv(poses[k]) @ T_camera_board @ np.diag([1.0, -1.0, -1.0, 1.0])
     note = (
         f"the ground is where the board lies from {moments[0] / _RATE:.1f} to "

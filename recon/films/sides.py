@@ -88,7 +88,7 @@ def _likeliest_sides(
     The landmarks of the likeliest ones move least. 0 and 1 are as found in the image and in its
     mirror image, 2 and 3 the same with left and right exchanged.
     """
-    # exchanged sides cost 2, kept ones 0; both cost 1 where the mirror image names them otherwise
+    # exchanging sides costs 2, keeping them 0; both cost 1 where the mirror image disagrees
     distance_as_named, distance_exchanged = (
         np.linalg.norm(namings[:, 0] - namings[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
@@ -99,7 +99,7 @@ def _likeliest_sides(
     usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
     spread = np.clip(usual, *_SPREADS) * np.diff(frames)
     far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
-    # cost of the movement from a naming in one frame to a naming in the next
+    # cost of the movement between each naming of one frame and each naming of the next
     change = (_INDEPENDENT * np.square(far).sum(-1) / 2).swapaxes(-1, -2)
     path = cheapest_path(torch.from_numpy(naming_cost)[None], torch.from_numpy(change)[None])
     return path[0].numpy()

@@ -86,7 +86,7 @@ def find_turning(
         return _chained_rotations(point, pixels / (focal * factor), starts)
 
     def misfit_at(factor: float) -> float:
-        # compare pixels, since the same error is a smaller angle at a longer focal length
+        # errors in pixels, not angles: one pixel is a smaller angle at a longer focal length
         return float(np.log1p((rotations_at(factor)[1] * factor / _NOISE) ** 2).mean())
 
     factor, told = 1.0, False

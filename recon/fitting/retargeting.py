@@ -141,7 +141,7 @@ def retarget_by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: Bo
     that obeys physics. Result and errors are those of `retarget`.
     """
     motion, shape = _checked_arguments(motion, shape, body)
-    # scaled before it is cut into windows, since the path grows from the clip's start
+    # scale the whole motion, not each window, since its path grows from the clip's start
     grown = with_shape(motion, body, shape)
 
     def retargeted(window: Motion) -> Motion:

@@ -153,7 +153,7 @@ def with_physics(
     last and is short because an iteration takes about twice as long with a part of the skin to
     compute, and because feet that stand wrongly in a first guess would be held there.
     """
-    # physics has no Hessian; L-BFGS scaled by the Hessian of the other terms stops too early
+    # physics terms have no Hessian; L-BFGS scaled by the other terms' Hessian stops too early
     last = replace(stages[-1], name="physics", second_order=None, proposals=None)
     minimiser = replace(last.minimiser, max_iterations=iterations, scale=0.0)
     own = {term.name for term in terms}

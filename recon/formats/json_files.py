@@ -66,7 +66,7 @@ def _parsed(path: Path, data: bytes) -> Any:
     try:
         return json.loads(decoded_text(data))
     except (RecursionError, ValueError) as error:
-        # an error whose text names the file needs no other
+        # an error whose text already names the file is raised as it is
         if str(path) in str(error):
             raise
         broken = error if isinstance(error, json.JSONDecodeError) else None

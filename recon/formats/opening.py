@@ -62,7 +62,7 @@ def check_sizes(
         zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
     """
     total, names = 0, []
-    # empty masks compress so well that the ratio of sizes says nothing
+    # empty masks pack so well that a limit of 50 times the file's size would refuse sound files
     limit = limit if limit is MASKS else limit_when_unpacked(path, limit)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()

@@ -132,7 +132,7 @@ class _StagedOutput:
 @contextmanager
 def _staged_output(output: Output) -> Iterator[_StagedOutput]:
     real = output.real_path
-    # staged inside an existing folder, which may be a mount point that cannot be replaced
+    # stage inside an existing output folder: it may be a mount point, which cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
     stage = _StagedOutput(output, temporary_path(beside))

@@ -130,7 +130,7 @@ def _draw_over_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
     for side in SIDES if curve.sided else SIDES[:1]:
         colour = COLOURS[side] if curve.sided else "black"
         axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
-    # angles without left and right are titled by their positive direction: trunk left rotation +
+    # curves not split into left and right are titled by what is positive: trunk left rotation +
     title = curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
     axes.set_title(title, loc="left")
 

@@ -71,7 +71,7 @@ class Naming:
             return
         usual_spread, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
-        if usual_spread > _SURE:  # first calibrate shape and offsets, in frames near the found one
+        if usual_spread > _SURE:  # first calibrate shape and offsets in frames near `at`
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow_and_turn(found, at, near)
             self._name_tracks()
@@ -101,7 +101,7 @@ class Naming:
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         fullest = [int(part[counts[part].argmax()]) for part in parts]
-        # search first in an early frame, as people mostly stand then, and at once in a middle one
+        # try first an early frame, in which people mostly stand, together with a middle one
         starts = [fullest.pop(0), *fullest[len(fullest) // 2 :][:1]]
         others = [k for k in fullest if k not in starts]
         found: list[tuple[FoundBody, int]] = []

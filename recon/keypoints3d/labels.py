@@ -144,7 +144,7 @@ def limbs_of_bones(labels: Sequence[str]) -> dict[int, str]:
         place = best.get(f"{side}_{joint}")
         if place is None or joint in labels[place].lower():
             return {}
-    # the foot comes first, as a bone called foot is the ankle if there are no toes
+    # feet come first, so that ankles replace them: without toes, a bone called foot is the ankle
     joints = sorted(best, key=lambda one: not one.endswith("foot"))
     return {best[one]: f"{one}{JOINT}" if one.endswith("foot") else one for one in joints}
 

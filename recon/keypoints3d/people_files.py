@@ -120,7 +120,7 @@ def _joined_tracks(
         The tracks, the longest first, and the sentences.
     """
     out: list[dict[int, int]] = []
-    for track in sorted(tracks, key=min):  # its frames increase, so the first is the earliest
+    for track in sorted(tracks, key=min):  # a track's keys are its frames, ascending
         start = next(iter(track))
         pose = frames[start][track[start]][1]
         ends = [(k, frames[last][one[last]][1]) for k, one in enumerate(out)

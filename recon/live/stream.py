@@ -90,7 +90,7 @@ class Stream:
         )
         self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
-        self._only_first_pushed = False  # true while a single moment sets the clock
+        self._only_first_pushed = False  # true while only the first moment was pushed
         self._jumped_to: float | None = None
         self._last_returned: float | None = None
         self._findings: list[Finding] = []

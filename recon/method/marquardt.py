@@ -65,7 +65,7 @@ def preconditioned(
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-        # reading row numbers waits for a GPU to finish: spare it where all clips are active
+        # reading row numbers waits for a GPU to finish: skip this where all clips are active
         all_active = len(active) == len(factors)
         active_factors = factors if all_active else [factors[k] for k in active.tolist()]
         return local.after_steps(some, _Unwhitened.apply(u, active_factors, local.hessian_size))

@@ -312,7 +312,7 @@ class Sensor(TensorStruct):
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
         """Return the data, with a camera if any, in another frame of coordinates (metres)."""
-        if self.sees is None and type(self).predict is Sensor.predict:  # defines `residuals` only
+        if self.sees is None and type(self).predict is Sensor.predict:  # `predict` is not defined
             raise ObservationError(
                 f"{type(self).__name__} cannot be transformed to another coordinate frame: write "
                 "a method transformed(T_new_old), or fit it with a ground that is known"

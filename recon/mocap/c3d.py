@@ -95,7 +95,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     point = groups.get("POINT", {})
     hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(1, header.first_and_last_frame(groups.get("TRIAL", {}))[0])  # some files have a 0
+    first = max(1, header.first_and_last_frame(groups.get("TRIAL", {}))[0])  # some files say 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))

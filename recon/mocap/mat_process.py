@@ -37,7 +37,7 @@ def limit_memory() -> None:
     """Limit this process's memory, so that a huge file ends it and not the machine."""
     try:
         import resource
-    except ImportError:  # Windows has no such module
+    except ImportError:  # Windows lacks the module `resource`
         return
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))

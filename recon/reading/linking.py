@@ -321,7 +321,7 @@ class _LinkSearch:
         moved = frames * kept
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
-        # weight of the new frame in running means; frames of a new track weigh all the same
+        # weight of the new frame in running means; in a new track all frames weigh the same
         share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SEEN_FRAMES else _MEMORY
         trunk = self.trunks[row]
         if not np.isnan(person.trunk) and not np.isnan(trunk):

@@ -76,7 +76,7 @@ def camera_of_images(camera: CameraArrays, found: Detections) -> tuple[CameraArr
         raise ObservationError(f"{said}; give the calibration of this film")
     matrix = camera.camera_matrix.copy()
     matrix[:2] *= scale[:, None]
-    matrix[:2, 2] += (scale - 1) / 2  # pixels are counted from the first one's centre
+    matrix[:2, 2] += (scale - 1) / 2  # (0, 0) is the first pixel's centre
     note = "filled up or cut at the right and below" if (scale == 1).all() else "scaled"
     return replace(camera, camera_matrix=matrix, image_size=size), f"{said}: {note}"
 

@@ -26,7 +26,7 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_FASTEST = 0.1  # ratio of a step's gain to that of the step before, if it converges fastest
+_FASTEST = 0.1  # least assumed ratio of a step's gain to the gain of the step before
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 

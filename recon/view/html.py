@@ -309,7 +309,7 @@ def _legend_html(show: Show) -> str:
         )
         for one in show.layers
     ]
-    follows = len(show.cameras) == 0  # with cameras the view stands still
+    follows = len(show.cameras) == 0  # scenes with cameras begin with a still view
     rows.append(_legend_row("follow the person", FAINT, "data-follow", follows))
     assets = resources.files("recon") / "assets"
     style = (assets / "layers.css").read_text(encoding="utf-8")
