@@ -129,7 +129,7 @@ def test_joints_that_nobody_saw_are_told(walk, body):
 def test_other_bodies_have_no_heels(walk):
     bundled = BodyModel.load()
     other = bundled.replace(checksum="another", name="another")
-    with pytest.raises(recon.ReconError, match="only the bundled body"):
+    with pytest.raises(recon.ReconError, match="only for the bundled body"):
         analyse(walk, other)
 
 
