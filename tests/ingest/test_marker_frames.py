@@ -71,7 +71,7 @@ def test_calibration_frames_are_apart_and_count_as_thirty_a_second(
         raise InterruptedError
 
     poses: list[PoseEnergies] = []
-    monkeypatch.setattr(fit, "calibrated", taken)
+    monkeypatch.setattr(fit, "calibrated_frames", taken)
     known = full_body_markers(markers, single)
     for rate in (markers.fps, 4 * markers.fps):
         subject = fit.subject_energies(dataclasses.replace(markers, fps=rate), known, single)
