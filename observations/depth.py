@@ -15,7 +15,7 @@ from observations.checks import (
     checked_clock,
     checked_positions,
 )
-from observations.matched import Discs, MatchedCloud
+from observations.matched import MatchedCloud, SurfaceDiscs
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import label_features, surfel_features
 from observations.surfels import Surfels, tukey
@@ -175,8 +175,8 @@ class PointCloud(Sensor):
             held = MatchedCloud(
                 pairs, self.points[..., filled, :, :].mT.contiguous(),
                 self.present[..., filled, :], variance, worth,
-                Discs.of(self.surfels, estimate.body.model, pairs), self.surfels, self.kernel,
-                tuple(filled.tolist()), self.fps, self.start_time, self.moments,
+                SurfaceDiscs.of(self.surfels, estimate.body.model, pairs), self.surfels,
+                self.kernel, tuple(filled.tolist()), self.fps, self.start_time, self.moments,
             )  # fmt: skip
             return held.with_tukey_scale(estimate) if self.kernel is tukey else held
 

@@ -31,12 +31,12 @@ _LEAST = 1e-6
 
 
 @dataclass(frozen=True)
-class Discs(TensorStruct):
+class SurfaceDiscs(TensorStruct):
     """Surface discs, one paired with each point of a cloud, before pose and shape move them."""
 
     weights: Float[Tensor, "*batch moments 22 points"]
     """Skinning weights."""
-    middles: Float[Tensor, "*batch moments 3 points"]
+    centres: Float[Tensor, "*batch moments 3 points"]
     """Centres of the discs on the average body, metres."""
     by_shape: Float[Tensor, "*batch moments shape coordinates"]
     """Derivatives of the centres by the shape's coefficients; x of all points, then y, then z."""
@@ -47,7 +47,7 @@ class Discs(TensorStruct):
     @classmethod
     def of(
         cls, surfels: Surfels, body: BodyModel, pairs: Int[Tensor, "*batch moments points"]
-    ) -> "Discs":
+    ) -> "SurfaceDiscs":
         """Select the surface discs whose indices are in `pairs`, one for each point."""
         like, index = body.template, torch.from_numpy(surfels.vertices).to(pairs.device)
 
@@ -68,7 +68,7 @@ class Discs(TensorStruct):
         """Centres of the discs on unposed bodies of given shapes, metres."""
         count = shape.shape[-1]
         away = shape[..., None, None, :] @ self.by_shape[..., :count, :]
-        return self.middles + away.unflatten(-1, self.middles.shape[-2:])[..., 0, :, :]
+        return self.centres + away.unflatten(-1, self.centres.shape[-2:])[..., 0, :, :]
 
     def derivatives_by_shape(
         self,
@@ -112,7 +112,7 @@ class _PointsBesideDiscs:
 
     @classmethod
     def of(
-        cls, points: Tensor, discs: Discs, bones: Tensor, unposed: Tensor
+        cls, points: Tensor, discs: SurfaceDiscs, bones: Tensor, unposed: Tensor
     ) -> "_PointsBesideDiscs":
         maps = (bones.flatten(-2).mT @ discs.weights).unflatten(-2, (4, 3))
         turns = maps[..., :3, :, :]
@@ -137,7 +137,9 @@ class _SquaredDistances(torch.autograd.Function):
     """Squared distances of points from their discs, metres²."""
 
     @staticmethod
-    def forward(ctx: Any, bones: Tensor, unposed: Tensor, points: Tensor, discs: Discs) -> Tensor:
+    def forward(
+        ctx: Any, bones: Tensor, unposed: Tensor, points: Tensor, discs: SurfaceDiscs
+    ) -> Tensor:
         ctx.found, ctx.discs = _PointsBesideDiscs.of(points, discs, bones, unposed), discs
         return ctx.found.squared
 
@@ -178,7 +180,7 @@ class MatchedCloud(TensorStruct):
     """By which squared distances are divided."""
     worth: Float[Tensor, "*batch filled 1"]
     """Weights of these quotients."""
-    discs: Discs
+    discs: SurfaceDiscs
     surfels: Surfels
     kernel: Callable[[Tensor, Tensor], Tensor]
     filled: tuple[int, ...]
@@ -270,7 +272,10 @@ class MatchedCloud(TensorStruct):
         motion, scene = model.motion, model.estimate.scene[model.clip]
         estimate = Estimate(Decoded(motion), model.body.pose(motion), scene)
         one, bones, unposed = self[model.clip]._covered_bones_and_discs(estimate)
-        discs, found = one.discs, _PointsBesideDiscs.of(one.points, one.discs, bones, unposed)
+        discs, found = (
+            one.discs,
+            _PointsBesideDiscs.of(one.points, one.discs, bones, unposed),
+        )
         with torch.enable_grad():
             squared = found.squared.where(one.present, 0.0).requires_grad_()
             (slope,) = torch.autograd.grad(one._energy(squared), squared)

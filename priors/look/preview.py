@@ -150,7 +150,9 @@ def seen_points(
             "fit all of them without a method, or give only named points"
         )
     if not any(bool(one.shown.any()) for one in named):
-        raise ObservationError("the method look: expected visible points, but none is visible")
+        raise ObservationError(
+            "method `look` needs visible points, but all are marked as not seen; check the masks"
+        )
     start = min(one.start_time for one in named)
     stop = max(one.start_time + one.duration for one in named)
     # both ends of the clip get a frame, so the rate may be slightly above 30 Hz

@@ -256,7 +256,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         )
 
     def decode(self, variables: PoseVariables) -> Decoded:
-        """Return the motion after the steps, and its energy `pose`: Σ |z|² of frames at 30 Hz."""
+        """Return the motion after the steps, and its energy `pose`: Σ |z|² at 30 frames/s."""
         x, like = variables, variables.pose
         density, scales = (
             self.density.to(dtype=like.dtype, device=like.device),

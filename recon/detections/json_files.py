@@ -253,7 +253,8 @@ def landmark_rows(person: list[Any], axes: str, source: str) -> Float[np.ndarray
     """
     if len(person) != LANDMARKS or not _has_axes(person, axes):
         raise FormatError(
-            f"{source}: expected {LANDMARKS} landmarks with {', '.join(axes)} and visibility"
+            f"{source}: expected {LANDMARKS} MediaPipe landmarks, each with {', '.join(axes)}, "
+            f"got {len(person)} landmarks, or some without these; write all landmarks of a person"
         )
     rows = [[*(one[axis] for axis in axes), one.get("visibility", 1.0)] for one in person]
     return as_floats(rows, source)

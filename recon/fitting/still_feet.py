@@ -72,7 +72,7 @@ class StillFeet(TensorStruct):
         return cls(held.where((held > _MIN_HOLD) & (count > 0), 0.0), view.fps, view.start_time)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Return the energy, at 30 Hz."""
+        """Return the energy, scaled to 30 frames per second."""
         motion = estimate.motion
         step = estimate.body.joints[..., FEET, :].diff(dim=-3).square().sum(-1)
         return 0.5 * (self._weights_at_steps(motion) * step).sum((-1, -2))

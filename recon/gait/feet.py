@@ -226,7 +226,7 @@ def _toe_off_frames(feet: Feet, side: int, behind_peaks: Int[np.ndarray, " steps
     rests = _toe_speeds(feet, side) < LEAVING_M_S
     found: list[int] = []
     for frame in behind_peaks.tolist():
-        # toe-off ends the last rest of the toes that begins before they are farthest behind
+        # toe-off is when toes that stood still, until they were farthest behind the body, move on
         after = np.flatnonzero(~rests[frame : frame + round(SWING_S * feet.fps)])
         if len(after) == 0:
             continue

@@ -38,7 +38,7 @@ class BoneOrientations(TensorStruct):
     """Numbers of the joints whose bones have recorded orientations."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Return Σ (1 - cos angle) over bones and valid frames, at 30 Hz: ½ angle² if small.
+        """Return Σ (1 - cos angle) over bones and frames, at 30 frames/s: ½ angle² if small.
 
         It determines what joint positions do not: rotations about a bone, of head, hands and toes.
         """
@@ -65,7 +65,7 @@ class FlatSoles(TensorStruct):
         return self.replace(standing=self.standing[index])
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Return ½ Σ (z_heel - z_ball)² over standing feet, at 30 Hz."""
+        """Return ½ Σ (z_heel - z_ball)² over standing feet, scaled to 30 frames per second."""
         motion, body = estimate.motion, estimate.body
         shape = self.heels.shape
         heels = body.points(self.heels.flatten())[..., 2].unflatten(-1, shape).mean(-1)

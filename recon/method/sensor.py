@@ -42,7 +42,7 @@ UPRIGHT = (math.pi / 2, 0.0, 0.0)
 
 
 class Sensor(TensorStruct):
-    """Data of one sensor, and the energy ½ Σ kernel(w² |values - predicted|²) at 30 Hz.
+    """Data of one sensor, with the energy ½ Σ kernel(w² |values - predicted|²) of an estimate.
 
     A sensor of your own is a frozen dataclass that derives from this class. It has the fields
     `values`, `shown`, `fps`, `start_time` and `ground_known`, and those that `predict` needs; it
@@ -166,12 +166,12 @@ class Sensor(TensorStruct):
         )
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Return the energy ½ Σ kernel(w² |measured - predicted|²) at 30 Hz, `unit` squared."""
+        """Return ½ Σ kernel(w² |measured - predicted|²) in `unit`², scaled to 30 frames/s."""
         found = self.residuals(estimate)
         return self.energy_of(found.values, found.weights)
 
     def energy_of(self, away: Tensor, weights: Tensor) -> Float[Tensor, "*batch"]:
-        """Return ½ Σ kernel(w² |away|²) over all frames of data, at 30 Hz; `unit` squared."""
+        """Return ½ Σ kernel(w² |away|²) over all frames, in `unit`², scaled to 30 frames/s."""
         size = weights.square() * away.square().sum(-1)
         return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 

@@ -1,7 +1,7 @@
 """Weighted terms of an objective, and the energies that need no data.
 
-Sums over frames are taken at 30 Hz whatever the motion's rate, so that published weights keep
-their meaning. Frames that do not exist count nothing.
+Sums over frames are scaled to 30 frames per second whatever the motion's rate, so that published
+weights keep their meaning. Frames that do not exist count nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -52,7 +52,7 @@ def prior_energy(name: str) -> PriorEnergy:
 
 
 def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Return |betas|² of the shape coefficients, times the number of frames at 30 Hz.
+    """Return |betas|² of the shape coefficients, times the number of frames at 30 per second.
 
     HuMoR section 6.5: shape_prior, scaled by the number of frames.
     """
@@ -89,7 +89,7 @@ def relative_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Return Σ (1 - cos angle) of the 21 body joints' rotations from the rest pose, at 30 Hz.
+    """Return Σ (1 - cos angle) of 21 body joints' rotations from the rest pose, at 30 frames/s.
 
     It determines rotations that no observation does, such as twists about a bone.
     """

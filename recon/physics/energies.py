@@ -1,7 +1,8 @@
 """Energies of contact with the ground z = 0: penetration, floating, sliding, balance.
 
-Sums over frames are taken at 30 Hz, as in `recon.method.terms`. Heights are those of a few hundred
-vertices (`SampledSurface`), dynamics those of all. Every energy is continuous with its gradient.
+Sums over frames are scaled to 30 frames per second, as in `recon.method.terms`. Heights are those
+of a few hundred vertices (`SampledSurface`), dynamics those of all. Every energy is
+continuous with its gradient.
 """
 
 from dataclasses import dataclass

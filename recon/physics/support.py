@@ -57,7 +57,7 @@ class SupportEnergy(TensorStruct):
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """Sum over frames of the load times the least energy of a pair of foot joints; nats.
 
-        Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz.
+        Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²), scaled to 30 frames per second.
         j and k are ankles and toes, also twice the same. l is the share of its weight that the
         ground carries, 1 + a / g between 0 and 1, by the vertical acceleration a of the pelvis:
         zero in flight. u = ½ (h² / σ_h² + v² / σ_v²) says how far a joint is from rest: h is the

@@ -81,7 +81,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         camera=camera,
         decisions=said,
     )
-    if camera is None:  # a given ground plane needs a camera's frame: drop it
+    if camera is None:  # ground planes are given in camera axes, so ignore one
         settings = replace(settings, ground=None)
     return clip_of_files([("geometries", file)], (), settings, body)
 

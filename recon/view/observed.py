@@ -129,7 +129,7 @@ def _camera_at_frames(seen: KeypointsFile | PointsFile, path: Path, file: Motion
         raise ValueError(f"{path}: {error}") from error
     if arrays.T_camera_world is None:
         known = camera.replace(T_camera_world=_known_poses(file, path))
-        poses = known.T_world_camera  # this property inverts the stored pose
+        poses = known.T_world_camera  # read once: each access inverts the poses
     else:
         poses = torch.from_numpy(arrays.T_camera_world).float()
         if len(poses) > 1:

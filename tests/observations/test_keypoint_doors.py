@@ -282,7 +282,7 @@ def test_points_that_are_no_body_are_refused(tmp_path):
         ("x.csv", b"frame,keypoint,x,y,z\n0,nose,1,2,3\n0,tail,1,2,3\n", "too few"),
         ("x.json", b'{"frames": [{"bodies": []}]}', "all 1 frames are empty"),
         ("x.json", b'{"frames": [{"bodies": [{"joint_positions": [[1,2]]}]}]}', "x, y, z"),
-        ("x.json", b'[{"frame": 0, "pose_world_landmarks": [{"x": 1}]}]', "33 landmarks with x"),
+        ("x.json", b'[{"frame": 0, "pose_world_landmarks": [{"x": 1}]}]', "33 MediaPipe"),
         ("x.json", b'{"joint_names": ["a"], "frames": [[[1, 2, 3]], [[1, 2]]]}', "numbers"),
     ],
 )  # fmt: skip

@@ -265,7 +265,7 @@ class Corpus(TensorStruct):
 
         beside = torch.arange(PER_FRAME, device=first.device) - 1
         seconds = steps[:, None] / REFERENCE_FPS + beside / (RATE * speed[:, None, None])
-        # flatten the three moments of each frame into one time axis
+        # the frame and the times just before and after it become neighbours on one time axis
         return Moments(
             translation=self._translations_for_body(translation, self.shape[clip], shape).flatten(
                 1, 2
