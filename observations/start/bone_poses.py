@@ -92,7 +92,7 @@ class BoneTargets(TensorStruct):
     """Vector from the joint of the bone to the point, in the bone's frame, metres."""
 
     def residuals(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
-        """Residuals, predicted minus measured positions of the points, metres."""
+        """Predicted less measured positions: the residuals with opposite sign, metres."""
         pick = self.bone[..., None, None].expand(*self.bone.shape, 3, 4)
         placed = state.bones.gather(1, pick)
         predicted = (placed[..., :3] @ self.place[..., None])[..., 0] + placed[..., 3]

@@ -155,7 +155,7 @@ class HeadingRotation:
 
     @classmethod
     def like(cls, tensor: Tensor) -> "HeadingRotation":
-        """Make the rotation's constants in a tensor's precision and on its device."""
+        """Make the constants `upright` and `quarters` with a tensor's precision and device."""
         quarters = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0))
         like = (tensor.device, tensor.dtype)
         return cls(cached_constant((_UPRIGHT, 0.0), *like), cached_constant(quarters, *like))

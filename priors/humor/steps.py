@@ -81,7 +81,7 @@ class Steps(TensorStruct):
             ),
             -2,
         )
-        # subtract the origin (and the pelvis from joints), rotate, and add the pelvis again
+        # into the step's frame: move its origin to zero, then turn joints about the pelvis
         minus, plus = _offset_matrices(vectors.dtype, vectors.device)
         ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - minus @ level
         turned = ends @ frame.turn.mT + plus * pelvis[:, None, None]

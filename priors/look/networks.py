@@ -131,7 +131,7 @@ class LookNetwork(nn.Module):
     def _features(
         self, seen: SeenPoints, frames: WalkingFrames
     ) -> Float[Tensor, "clips time features"]:
-        """Input of every frame: sums over seen points, their number, noise, step to the next."""
+        """Input of every frame: features summed over seen points, their number, noise, path."""
         bone = functional.one_hot(seen.bone, len(JOINTS)).to(seen.offset)
         place = self.place(torch.cat((bone, seen.offset / REACH_M), -1))
         inside = frames.in_walking_frames(seen.positions)

@@ -328,7 +328,7 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
             f"({spans(frames)}); the motion there is inferred"
         )
         found.append(Finding("gap", said, (), frames, float(empty.mean())))
-    found += [Finding("proposed", said) for one in clip.fit.result.reports for said in one.began]
+    found += [Finding("proposed", said) for one in clip.fit.result.reports for said in one.remarks]
     return clip, Findings(warnings=rare, diagnosis=found)
 
 

@@ -83,7 +83,7 @@ class DoubtedView:
         return out
 
     def _rays_and_targets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rays and directions to triangulated points (camera's frame), and a mask."""
+        """Return keypoints' rays, directions to triangulated points, and where both exist."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
         targets = self.points - one.origin[0]

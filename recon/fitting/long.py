@@ -210,5 +210,5 @@ def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> St
         trace=torch.cat(traces)[order],
     )
     stage = replace(parts[0].stage, name=f"{name}: {parts[0].stage.name}")
-    began = tuple(dict.fromkeys(said for part in parts for said in part.began))
-    return StageReport(stage, solution, sum(part.seconds for part in parts), began=began)
+    remarks = tuple(dict.fromkeys(one for part in parts for one in part.remarks))
+    return StageReport(stage, solution, sum(part.seconds for part in parts), remarks=remarks)

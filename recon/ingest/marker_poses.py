@@ -49,7 +49,7 @@ class Poses(TensorStruct):
         return cls(translation, rotations, orientations, placed)
 
     def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
-        """Return the poses after a step in every frame (coordinates of `recon.body.levers`)."""
+        """Return the poses after a step of each frame (coordinates of `recon.body.levers`)."""
         rotations = rotations_after_turns(self.rotations, self.orientations, steps[:, 3:])
         return Poses.of(self.translation + steps[:, :3], rotations, rest)
 
@@ -296,7 +296,7 @@ class PoseEnergies(TiedFrames[Poses]):
         return value, gradient
 
     def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
-        """Return all poses after a step in some of the frames."""
+        """Return the poses of all frames, those of `rows` after a step of the solver."""
         found = _poses_of_rows(state, rows).moved(steps, self.rest)
         if len(rows) == len(state.translation):
             return found

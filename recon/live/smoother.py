@@ -67,7 +67,7 @@ _OPTIONS = GaussNewton(tolerance=1e-4, damping=0.0, max_damping=1e3)
 _RISE, _DAMPING = 1.3, 0.1
 """A step is damped by this share of the Hessian's diagonal when the energy of a frame has risen by
 more than that factor since the push before; noise of 4 cm makes it rise by up to 1.15."""
-_SLOWED = 0.9
+_SPEED_KEPT = 0.9
 """Share of the last step with which a new frame begins."""
 
 
@@ -92,16 +92,22 @@ class SmoothedWindow:
         """Number of frames that are still optimised."""
         return self.seen[0].moments
 
-    def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "SmoothedWindow":
+    def with_new_frame(
+        self, seen: Sequence[Tracker], most: int, learn_shape_until: int
+    ) -> "SmoothedWindow":
         """Return the window with a new frame, which replaces the oldest beyond `most` active ones.
 
         Args:
             seen: data of the new frame.
             most: largest number of active frames.
-            learn_until: number of frames after which the shape is held.
+            learn_shape_until: number of frames after which the shape is held.
         """
         data = tuple(append_frames(a, b) for a, b in zip(self.seen, seen, strict=True))
-        window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
+        window, knowledge, learning = (
+            self.window.extended(_SPEED_KEPT),
+            self.knowledge,
+            self.learning,
+        )
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
             # keep `reach` fixed frames before the window, so that the motion continues smoothly
@@ -110,7 +116,7 @@ class SmoothedWindow:
                 objective = self.objective
                 weight = objective.weights.shape * objective.scale_to_30_hz
                 knowledge = knowledge.with_first_frame(self.equations, objective.shape, weight)
-                learning = knowledge.frames < learn_until
+                learning = knowledge.frames < learn_shape_until
         return replace(
             self, window=window, seen=data, knowledge=knowledge, learning=learning, equations=None
         )

@@ -205,7 +205,7 @@ class Tracking(TrackedPerson):
 
     def _add_moment(self, moment: Moment, findings: list[Finding]) -> None:
         most = self.lag + 1 + _BEYOND
-        after = self._current_window.extended(self.sensors.empty_moment, most, _LEARNED)
+        after = self._current_window.with_new_frame(self.sensors.empty_moment, most, _LEARNED)
         self.times.append(moment.time)
         dropped = len(self.times) - after.window.frames
         self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)

@@ -142,16 +142,16 @@ def run_hypotheses(
     """
     held, reports = initial, list[StageReport]()
     for stage in stages:
-        started, began = perf_counter(), ()
+        started, remarks = perf_counter(), ()
         if stage.prior is not held.prior:
             held = _encoded_anew(held, stage.prior, body)
         if stage.proposals is not None:
-            held, origin, began = held.with_proposals(stage.proposals, body)
+            held, origin, remarks = held.with_proposals(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
         stage = held.stage_for_rows(stage)
         unknowns, solution = _run_stage(stage, body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
-        reports.append(StageReport(stage, solution, perf_counter() - started, began=began))
+        reports.append(StageReport(stage, solution, perf_counter() - started, remarks=remarks))
         if stage.kept is not None:
             value = ranking_objective(stage, held, body) if stage.ranking else solution.value
             index = held.best(value, stage.kept)

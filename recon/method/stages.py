@@ -121,7 +121,7 @@ class StageReport:
     seconds: float
     compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
-    began: tuple[str, ...] = ()  # remarks on the motions proposed by a network
+    remarks: tuple[str, ...] = ()  # remarks on the motions proposed by a network
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
         """Return the report of the clips `index`; `compared` keeps all its rows."""

@@ -251,7 +251,7 @@ def test_a_stage_goes_on_from_the_best_of_what_is_proposed(toy_body):
     compared = reports[-1].compared
     assert compared is not None
     assert compared.clip.tolist() == [0, 1, 1]
-    assert [report.began for report in reports] == [(), ("from the row", "proposed")]
+    assert [report.remarks for report in reports] == [(), ("from the row", "proposed")]
 
 
 def test_proposals_are_motions_in_the_world(toy_body):
