@@ -57,7 +57,7 @@ def called(verb: str, files: list[str], how: dict[str, Any], out: str) -> float:
         np.savez(out, joints=streamed(Path(files[0]), **how))
     elif verb == "batch":
         shutil.rmtree(out, ignore_errors=True)
-        command = [sys.executable, "-m", "recon", "batch", *files, "--out", out, "--quiet"]
+        command = [sys.executable, "-P", "-m", "recon", "batch", *files, "--out", out, "--quiet"]
         subprocess.run(command, stdout=sys.stderr, check=True)
     elif verb in ("fit", "complete"):
         getattr(recon, verb)(recon.load_observation(files), **how).save(out, overwrite=True)
