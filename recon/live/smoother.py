@@ -64,9 +64,9 @@ class ShapeKnowledge:
 
 
 _OPTIONS = GaussNewton(tolerance=1e-4, damping=0.0, max_damping=1e3)
-_RISE, _DAMPING = 1.3, 0.1
-"""A step is damped by this share of the Hessian's diagonal when the energy of a frame has risen by
-more than that factor since the push before; noise of 4 cm makes it rise by up to 1.15."""
+_LEAST_DAMPING, _LARGEST_DAMPING, _DAMPING_FACTOR = 0.03, 100.0, 0.1
+"""Damping, a share of the Hessian's diagonal: of the step after the first one that would raise the
+energy, and at most; and by what it is multiplied after a step that does not."""
 _SPEED_KEPT = 0.9
 """Share of the last step with which a new frame begins."""
 
@@ -84,8 +84,8 @@ class SmoothedWindow:
     """Whether the shape is still moved."""
     equations: Equations | None = None
     """Equations of the last step, from which the shape learns when a frame leaves."""
-    energy: float = float("inf")
-    """Mean energy of an active frame before the last step."""
+    damping: float = 0.0
+    """Damping of the next step of `after_one_step`, a share of the Hessian's diagonal."""
 
     @property
     def active_frames(self) -> int:
@@ -128,22 +128,24 @@ class SmoothedWindow:
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
-    def after_unchecked_step(self) -> "SmoothedWindow":
-        """Return the window after one Gauss-Newton step, without checking that the energy falls.
+    def after_one_step(self) -> "SmoothedWindow":
+        """Return the window after one damped Gauss-Newton step, if that does not raise the energy.
 
-        The check would make a push a quarter longer, and a search for a shorter step where the
-        energy rises three times as long. The next push, which computes the energy anyway, damps
-        its own step where the energy of a frame has risen.
+        A push has time for one step. After a step that would raise the energy, the window stays
+        as it is, and the next push takes a more damped step.
         """
-        refinement, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
-        model = refinement.model(self, row)
-        energy = float(model.value.sum()) / self.active_frames
-        factor = Factor(model.hessian[0], _DAMPING if energy > _RISE * self.energy else 0.0)
+        problem, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
+        model = problem.model(self, row)
+        factor = Factor(model.hessian[0], self.damping)
         step = -factor.solve(model.gradient[0])
+        more = min(max(self.damping / _DAMPING_FACTOR, _LEAST_DAMPING), _LARGEST_DAMPING)
+        less = self.damping * _DAMPING_FACTOR if self.damping > 2 * _LEAST_DAMPING else 0.0
+        stays = replace(self, equations=problem.equations, damping=more)
         if not factor.definite or not bool(step.isfinite().all()):
-            return replace(self, equations=None)
-        moved = refinement.moved(self, row, step[None])
-        return replace(moved, equations=refinement.equations, energy=energy)
+            return stays
+        moved = problem.moved(self, row, step[None])
+        falls = float(problem.value(moved, row)) <= float(model.value.sum())
+        return replace(moved, equations=problem.equations, damping=less) if falls else stays
 
     def value_of_shape(self) -> float:
         """Return the energy of the shape while the shape is learned, else zero."""

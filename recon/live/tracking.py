@@ -132,11 +132,11 @@ class Tracking(TrackedPerson):
             self._add_moment(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        # with the pose prior alone a step may be too long; `refined` checks it at little cost
+        # the pose prior alone has time to shorten steps that would raise the energy, HuMoR not
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None
-            else self._current_window.after_unchecked_step()
+            else self._current_window.after_one_step()
         )
         return self._final_estimates(self.lag)
 
