@@ -354,18 +354,18 @@ def first_states(
 
     prior = PosePrior.load(weights=PoseWeights(pose=1e-5, shape=1e-5))
     motion = _poses_fitted_to_joints(positions, shape, body, prior)
-    feet = body.pose(motion).joints[:, 0, FEET, 2]
+    joints = body.pose(motion).joints[:, 0]
     touching = heights_in_contact(rest_heights(body, motion.shape))[:, FEET]
-    sunk = (touching - feet).amax(-1).clamp(min=0)
-    motion = motion.replace(translation=motion.translation + sunk[:, None, None] * (1 - level))
+    sunk = (touching - joints[:, FEET, 2]).amax(-1).clamp(min=0)
+    shift = sunk[:, None] * (1 - level) - motion.translation[:, 0] * level
     return (
         State(
-            translation=motion.translation[:, 0] * (1 - level),
+            translation=motion.translation[:, 0] + shift,
             velocity=full[:, -6:-3],
             root=motion.rotations[:, 0, 0],
             angular_velocity=full[:, -3:],
             pose=motion.rotations[:, 0, 1:],
-            joints=body.pose(motion).joints[:, 0] - motion.translation[:, 0, None] * level,
+            joints=joints + shift[:, None],
             joint_velocities=velocities,
         ),
         motion.shape,

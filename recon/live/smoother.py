@@ -65,8 +65,8 @@ class ShapeKnowledge:
 
 _OPTIONS = GaussNewton(tolerance=1e-4, damping=0.0, max_damping=1e3)
 _LEAST_DAMPING, _LARGEST_DAMPING, _DAMPING_FACTOR = 0.03, 100.0, 0.1
-"""Damping, a share of the Hessian's diagonal: of the step after the first one that would raise the
-energy, and at most; and by what it is multiplied after a step that does not."""
+"""Damping of steps as a share of the Hessian's diagonal: the least after a step was not taken,
+and the largest. A step that is taken multiplies it by the factor, another divides it."""
 _SPEED_KEPT = 0.9
 """Share of the last step with which a new frame begins."""
 
@@ -140,12 +140,12 @@ class SmoothedWindow:
         step = -factor.solve(model.gradient[0])
         more = min(max(self.damping / _DAMPING_FACTOR, _LEAST_DAMPING), _LARGEST_DAMPING)
         less = self.damping * _DAMPING_FACTOR if self.damping > 2 * _LEAST_DAMPING else 0.0
-        stays = replace(self, equations=problem.equations, damping=more)
         if not factor.definite or not bool(step.isfinite().all()):
-            return stays
+            return replace(self, equations=None, damping=more)
         moved = problem.moved(self, row, step[None])
         falls = float(problem.value(moved, row)) <= float(model.value.sum())
-        return replace(moved, equations=problem.equations, damping=less) if falls else stays
+        after, damping = (moved, less) if falls else (self, more)
+        return replace(after, equations=problem.equations, damping=damping)
 
     def value_of_shape(self) -> float:
         """Return the energy of the shape while the shape is learned, else zero."""

@@ -9,6 +9,8 @@ import torch
 import recon
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.live.lines import stream_lines
+from recon.live.smoother import SmoothedWindow
+from recon.solver.banded import Factor
 from tests.filmed import cameras, view, walk
 from tests.live.conftest import BEGINNING, FPS, FRAMES, codes, joints_of, played, stream
 
@@ -34,6 +36,38 @@ def test_a_prior_over_steps_is_nearer_and_tells_contacts(seen, truth):
     assert errors[1] < errors[0]
     steps = joints_of(better).diff(dim=0).norm(dim=-1)
     assert steps.max() < 1.5 * truth.diff(dim=0).norm(dim=-1).max()
+
+
+def test_no_step_under_humor_raises_the_energy(seen, monkeypatch):
+    """Unchecked steps made joints of somebody who lies down 70 cm wrong for a second."""
+    step, changes = SmoothedWindow.after_one_step, []
+
+    def watched(window: SmoothedWindow) -> SmoothedWindow:
+        after = step(window)
+        before, found = (one.objective.energy(one.window, one.seen) + one.value_of_shape()
+                         for one in (window, after))  # fmt: skip
+        changes.append(((found - before) / abs(before), window.damping, after.damping))
+        return after
+
+    monkeypatch.setattr(SmoothedWindow, "after_one_step", watched)
+    jumps = seen + 0.5 * (np.arange(len(seen)) % 7 == 6)[:, None, None]
+    assert torch.isfinite(joints_of(played(stream(prior="humor", lag=10), jumps))).all()
+    rises, before, after = np.array(changes).T
+    assert (rises < 1e-5).all()
+    assert (after[rises == 0] > before[rises == 0]).all()
+    assert (after[rises < -1e-5] <= before[rises < -1e-5]).all()
+
+
+def test_a_step_that_is_not_finite_leaves_the_window(seen, monkeypatch):
+    live = stream(prior="humor", lag=10)
+    played_on = [live.push(moment) for moment in seen[:20]]
+    assert played_on[-1] is not None
+    window = live._tracking.smoothed
+    monkeypatch.setattr(Factor, "solve", lambda _, right: torch.full_like(right, torch.nan))
+    after = window.after_one_step()
+    assert after.window is window.window
+    assert after.equations is None
+    assert after.damping > window.damping
 
 
 def test_steps_of_other_lengths_are_refused(seen):
