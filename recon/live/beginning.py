@@ -85,10 +85,11 @@ def first_window(
     metres = min(one.metres for one in noises)
     steps = None if prior is None else prior.live(metres)
     shape, knowledge = motion.shape, person.knowledge
+    pose_weights = PoseWeights.for_noise(metres)
     objective = Objective(
         body=body,
         density=poses.density,
-        weights=PoseWeights.for_noise(metres) if steps is None else steps.poses,
+        weights=pose_weights if steps is None else steps.poses,
         scales=tuple(weights_of(noises)),
         points=tuple(one.points_on_bones(body, shape, offsets) for one in trackers),
         joints=BonePoints.of_joints(body, shape),
@@ -96,6 +97,7 @@ def first_window(
         rest=body.rest_joints(shape),
         fps=seen[0].fps,
         offsets=offsets,
+        pose_weights=pose_weights,
         steps=steps,
     )
     first = SmoothedWindow(

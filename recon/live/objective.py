@@ -68,15 +68,24 @@ class Window(TensorStruct):
             torch.cat((self.pose[:held], self.pose[held:] + pose)),
         )
 
+    def joined(self, after: "Window") -> "Window":
+        """Return the frames of this window followed by those of another."""
+        return Window(
+            torch.cat((self.translation, after.translation)),
+            torch.cat((self.root, after.root)),
+            torch.cat((self.pose, after.pose)),
+        )
+
     def extended(self, damping: float) -> "Window":
         """Return the window plus one frame, extrapolated from the last two at damped velocity."""
         before, last = self[-2:-1], self[-1:]
         turn = so3.log(before.root.mT @ last.root)
-        return Window(
-            torch.cat((self.translation, last.translation.lerp(before.translation, -damping))),
-            torch.cat((self.root, last.root @ so3.exp(damping * turn))),
-            torch.cat((self.pose, last.pose.lerp(before.pose, -damping))),
+        new = Window(
+            last.translation.lerp(before.translation, -damping),
+            last.root @ so3.exp(damping * turn),
+            last.pose.lerp(before.pose, -damping),
         )
+        return self.joined(new)
 
 
 _BEND = (1.0, -2.0, 1.0)
@@ -151,8 +160,15 @@ class Objective:
     fps: float
     offsets: Float[Tensor, "rows 3"]
     """Constant offsets of points from their place on the model; see `Scene.offsets`."""
+    pose_weights: PoseWeights
+    """Weights of the density where no other prior stands beside it; `weights` then."""
     steps: StepEnergies | None = None
     """Energies of a prior beside the density of poses."""
+
+    @property
+    def by_poses(self) -> "Objective":
+        """The energy under the density of poses alone."""
+        return replace(self, weights=self.pose_weights, steps=None)
 
     @property
     def reach(self) -> int:

@@ -136,7 +136,7 @@ class Tracking(TrackedPerson):
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None
-            else self._current_window.after_one_step()
+            else self._current_window.with_newest_by_poses().after_one_step()
         )
         return self._final_estimates(self.lag)
 
