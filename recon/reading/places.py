@@ -16,7 +16,7 @@ from recon.formats.depth_images import read_mask
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
 from recon.formats.opening import files_of
-from recon.formats.producers import films_at
+from recon.formats.producers import POINTS_3D, films_at, producer_of
 from recon.reading.masks import PackedMask, read_packed_masks
 
 FEWEST_KEYPOINTS = 4
@@ -137,6 +137,12 @@ def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file or folder")
         inside = [path] if path.is_file() or files_of(path, (".json",)) else _views_in(path)
+        for one in inside if inside != [path] else ():
+            if (found := producer_of(one)) is not None and found.holds == POINTS_3D:
+                raise ObservationError(
+                    f"{path}: expected keypoints in images of cameras, but {one.name} holds "
+                    f"keypoints in space ({found.name}); give {one}"
+                )
         inside = inside or films_at(path)
         project = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
         if len(inside) == 0 and project is not None:

@@ -184,6 +184,14 @@ def test_of_a_folder_of_separate_files_one_is_asked_for(tmp_path, verb):
         verb(tmp_path)
 
 
+@pytest.mark.parametrize("read", [info, recon.read])
+def test_a_folder_around_keypoints_in_space_is_no_folder_of_views(tmp_path, read):
+    """It was said to hold no 2D keypoints in a form that is known."""
+    folder = SAMPLES["EasyMocap", "3D keypoints", ".json"](tmp_path)
+    with pytest.raises(ValueError, match=r"keypoints3d holds .* in space \(EasyMocap\); give"):
+        read(folder.parent)
+
+
 def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
     wide = torch.zeros(1).expand(10**9)
     np.save(tmp_path / "a.npy", np.array({"pred_rotmat": wide}, dtype=object), allow_pickle=True)
