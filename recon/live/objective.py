@@ -161,7 +161,7 @@ class Objective:
     offsets: Float[Tensor, "rows 3"]
     """Constant offsets of points from their place on the model; see `Scene.offsets`."""
     pose_weights: PoseWeights
-    """Weights of the density where no other prior stands beside it; `weights` then."""
+    """Weights of the density of poses alone; equal to `weights` if `steps` is None."""
     steps: StepEnergies | None = None
     """Energies of a prior beside the density of poses."""
 

@@ -69,7 +69,7 @@ _LEAST_DAMPING, _LARGEST_DAMPING, _DAMPING_FACTOR = 0.03, 100.0, 0.1
 and the largest. A step that is taken multiplies it by the factor, another divides it."""
 _NEWEST = 6
 """Newest frames that are moved under the pose density alone before a prior over steps takes part;
-with 4 and 10 errors of streams are 1 % larger and no smaller (validation people)."""
+with 4, errors of streams are 1 % larger; with 10, they are the same (validation people)."""
 _SPEED_KEPT = 0.9
 """Share of the last step with which a new frame begins."""
 
@@ -134,8 +134,8 @@ class SmoothedWindow:
     def with_newest_by_poses(self) -> "SmoothedWindow":
         """Return the window with its newest frames after a step under the pose density alone.
 
-        Only data and density lead a new frame near the data: a prior over steps counts less the
-        farther a motion is from those it knows, so that it may keep frames that are far off.
+        This brings new frames near the data. A prior over steps does not always: its energy rises
+        slowly where a motion is far from those it knows, so that its steps there are poor.
         """
         count = min(_NEWEST, self.active_frames)
         seen = (frames_between(one, one.moments - count, one.moments) for one in self.seen)
