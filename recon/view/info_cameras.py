@@ -42,12 +42,12 @@ def describe_folder(path: Path) -> dict[str, Any]:
     except ValueError as error:
         if endings & _CALIBRATIONS:
             return describe_calibration(path)
-        if not endings:  # what its folders hold tells more
+        if not endings and any(path.iterdir()):  # what its folders hold tells more
             raise
         raise ValueError(
             f"{path}: expected a folder of 2D keypoints (.json, .csv, or folders of them), scans "
             f"(.ply, .pcd, .obj, .xyz), depth images or masks (.png), or a calibration; it has "
-            f"{', '.join(sorted(endings))}"
+            f"{', '.join(sorted(endings)) or 'no files'}"
         ) from error
     if views == [path]:
         return describe_detections(path)
