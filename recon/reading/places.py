@@ -138,7 +138,9 @@ def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
             raise FileNotFoundError(f"{path}: no such file or folder")
         inside = [path] if path.is_file() or files_of(path, (".json",)) else _views_in(path)
         for one in inside if inside != [path] else ():
-            if (found := producer_of(one)) is not None and found.holds == POINTS_3D:
+            found = producer_of(one)
+            # files of others may hold keypoints in the image beside those in space
+            if found is not None and (found.name, found.holds) == ("EasyMocap", POINTS_3D):
                 raise ObservationError(
                     f"{path}: expected keypoints in images of cameras, but {one.name} holds "
                     f"keypoints in space ({found.name}); give {one}"

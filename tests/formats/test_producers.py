@@ -1,5 +1,6 @@
 """Every producer's files are known, and four verbs give one answer to each of them."""
 
+import json
 import re
 import time
 from collections.abc import Callable
@@ -190,6 +191,18 @@ def test_a_folder_around_keypoints_in_space_is_no_folder_of_views(tmp_path, read
     folder = SAMPLES["EasyMocap", "3D keypoints", ".json"](tmp_path)
     with pytest.raises(ValueError, match=r"keypoints3d holds .* in space \(EasyMocap\); give"):
         read(folder.parent)
+
+
+def test_views_whose_files_have_points_in_space_too_are_views(tmp_path):
+    """Two folders of MediaPipe's landmarks in the image and in space were refused."""
+    row = {"x": 0.4, "y": 0.3, "z": 0.0, "visibility": 0.9}
+    rows = [{**row, "y": 0.3 + 0.01 * k} for k in range(33)]
+    frame = json.dumps({"pose_landmarks": rows, "pose_world_landmarks": rows})
+    for name in ("cam1", "cam2"):
+        (tmp_path / name).mkdir()
+        for k in range(3):
+            (tmp_path / name / f"{k:04d}.json").write_text(frame)
+    assert info(tmp_path)["format"] == "2D keypoints of 2 views"
 
 
 def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
