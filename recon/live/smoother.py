@@ -10,7 +10,7 @@ from torch import Tensor
 from observations.moments import Tracker, append_frames, frames_between
 from recon.body.derivatives import BonePoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
-from recon.solver.banded import Banded, Factor
+from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 
@@ -63,10 +63,8 @@ class ShapeKnowledge:
         )
 
 
-_OPTIONS = GaussNewton(tolerance=1e-4, damping=0.0, max_damping=1e3)
-_LEAST_DAMPING, _LARGEST_DAMPING, _DAMPING_FACTOR = 0.03, 100.0, 0.1
-"""Damping of steps as a share of the Hessian's diagonal: the least after a step was not taken,
-and the largest. A step that is taken multiplies it by the factor, another divides it."""
+_OPTIONS = GaussNewton(max_damping=10.0)
+"""Settings of steps, with few tries of a damping, because a push has little time."""
 _NEWEST = 6
 """Newest frames that are moved under the pose density alone before a prior over steps takes part;
 with 4, errors of streams are 1 % larger; with 10, they are the same (validation people)."""
@@ -87,8 +85,6 @@ class SmoothedWindow:
     """Whether the shape is still moved."""
     equations: Equations | None = None
     """Equations of the last step, from which the shape learns when a frame leaves."""
-    damping: float = 0.0
-    """Damping of the next step of `after_one_step`, a share of the Hessian's diagonal."""
 
     @property
     def active_frames(self) -> int:
@@ -146,25 +142,6 @@ class SmoothedWindow:
             self, window=self.window[start:], objective=objective, seen=tuple(seen), learning=False
         )
         return replace(self, window=self.window[:start].joined(newest.refined(1).window))
-
-    def after_one_step(self) -> "SmoothedWindow":
-        """Return the window after one damped Gauss-Newton step, if that does not raise the energy.
-
-        A push has time for one step. After a step that would raise the energy, the window stays
-        as it is, and the next push takes a more damped step.
-        """
-        problem, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
-        model = problem.model(self, row)
-        factor = Factor(model.hessian[0], self.damping)
-        step = -factor.solve(model.gradient[0])
-        more = min(max(self.damping / _DAMPING_FACTOR, _LEAST_DAMPING), _LARGEST_DAMPING)
-        less = self.damping * _DAMPING_FACTOR if self.damping > 2 * _LEAST_DAMPING else 0.0
-        if not factor.definite or not bool(step.isfinite().all()):
-            return replace(self, equations=None, damping=more)
-        moved = problem.moved(self, row, step[None])
-        falls = float(problem.value(moved, row)) <= float(model.value.sum())
-        after, damping = (moved, less) if falls else (self, more)
-        return replace(after, equations=problem.equations, damping=damping)
 
     def value_of_shape(self) -> float:
         """Return the energy of the shape while the shape is learned, else zero."""

@@ -132,12 +132,10 @@ class Tracking(TrackedPerson):
             self._add_moment(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        # the pose prior alone has time to shorten steps that would raise the energy, HuMoR not
-        self.smoothed = (
-            self._current_window.refined(1)
-            if self.prior is None
-            else self._current_window.with_newest_by_poses().after_one_step()
-        )
+        window = self._current_window
+        if self.prior is not None:
+            window = window.with_newest_by_poses()
+        self.smoothed = window.refined(1)
         return self._final_estimates(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:

@@ -43,22 +43,20 @@ def test_a_prior_over_steps_is_nearer_and_tells_contacts(seen, truth):
 
 def test_no_step_under_humor_raises_the_energy(seen, monkeypatch):
     """Unchecked steps made joints of somebody who lies down 70 cm wrong for a second."""
-    step, changes = SmoothedWindow.after_one_step, []
+    refined, rises = SmoothedWindow.refined, []
 
-    def watched(window: SmoothedWindow) -> SmoothedWindow:
-        after = step(window)
+    def watched(window: SmoothedWindow, steps: int) -> SmoothedWindow:
+        after = refined(window, steps)
         before, found = (one.objective.energy(one.window, one.seen) + one.value_of_shape()
                          for one in (window, after))  # fmt: skip
-        changes.append(((found - before) / abs(before), window.damping, after.damping))
+        rises.append((found - before) / abs(before))
         return after
 
-    monkeypatch.setattr(SmoothedWindow, "after_one_step", watched)
+    monkeypatch.setattr(SmoothedWindow, "refined", watched)
     jumps = seen + 0.5 * (np.arange(len(seen)) % 7 == 6)[:, None, None]
     assert torch.isfinite(joints_of(played(stream(prior="humor", lag=10), jumps))).all()
-    rises, before, after = np.array(changes).T
-    assert (rises < 1e-5).all()
-    assert (after[rises == 0] > before[rises == 0]).all()
-    assert (after[rises < -1e-5] <= before[rises < -1e-5]).all()
+    assert max(rises) < 1e-5
+    assert np.mean(np.array(rises) < -1e-5) > 0.5
 
 
 def test_a_step_that_is_not_finite_leaves_the_window(seen, monkeypatch):
@@ -67,10 +65,7 @@ def test_a_step_that_is_not_finite_leaves_the_window(seen, monkeypatch):
     assert played_on[-1] is not None
     window = live._tracking.smoothed
     monkeypatch.setattr(Factor, "solve", lambda _, right: torch.full_like(right, torch.nan))
-    after = window.after_one_step()
-    assert after.window is window.window
-    assert after.equations is None
-    assert after.damping > window.damping
+    assert window.refined(1).window is window.window
 
 
 def test_the_pose_density_leads_newest_frames_to_the_data(seen):
