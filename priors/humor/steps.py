@@ -188,7 +188,7 @@ class StepCurvature(TensorStruct):
         like, steps, moved = motion.translation, motion.frames - 1, SPAN * FRAME
         whole = (error * self.error + latents * self.latents).to(like)
         size = hessian.corner.shape[-1]
-        exists = (motion.valid[1:] & motion.valid[:-1]).to(like)
+        exists = (motion.valid[1:] & motion.valid[:-1]).to(like)[:, None, None]
         turn = so3.undo_heading(motion.rotations[:-1, 0]).mT
         mean = whole[:moved, :moved].unflatten(0, (SPAN, FRAME)).unflatten(2, (SPAN, FRAME))
         edge = whole[:moved, moved : moved + size].unflatten(0, (SPAN, FRAME))
@@ -197,22 +197,27 @@ class StepCurvature(TensorStruct):
             first, stop = max(0, 1 - a), min(steps, steps + 2 - a)
             rows = slice(first, stop)
             frame = slice(first + a - 1, stop + a - 1)
-            hessian.border[frame] += _block_in_world(turn[rows], edge[a], exists[rows])
+            border = hessian.border[frame]
+            border[:, 3:].addcmul_(exists[rows], edge[a, 3:])
+            border[:, :3].addcmul_(exists[rows], turn[rows] @ edge[a, :3])
             for b in range(a, SPAN):
                 last = min(stop, steps + 2 - b)
                 rows, frame = slice(first, last), slice(first + a - 1, last + a - 1)
-                left = _block_in_world(turn[rows], mean[a, :, b], exists[rows])
-                both = _block_in_world(turn[rows], left.mT, None).mT
-                hessian.inner[frame, b - a] += both
+                _add_in_world(hessian.inner[frame, b - a], mean[a, :, b], turn[rows], exists[rows])
 
 
-def _block_in_world(
-    turn: Tensor, block: Tensor, exists: Tensor | None
-) -> Float[Tensor, "steps 69 n"]:
-    """Rotate the three translation rows of a Hessian block from canonical frame to world."""
-    block = block.expand(len(turn), *block.shape[-2:])
-    found = torch.cat((turn @ block[:, :3], block[:, 3:]), 1)
-    return found if exists is None else exists[:, None, None] * found
+def _add_in_world(
+    hessian: Float[Tensor, "steps 69 69"],
+    block: Float[Tensor, "69 69"],
+    turn: Float[Tensor, "steps 3 3"],
+    exists: Float[Tensor, "steps 1 1"],
+) -> None:
+    """Add a block to those of given steps, its translations turned from their heading to world."""
+    from_left = turn @ block[:3]
+    hessian[:, 3:, 3:].addcmul_(exists, block[3:, 3:])
+    hessian[:, :3, 3:].addcmul_(exists, from_left[..., 3:])
+    hessian[:, 3:, :3].addcmul_(exists, block[3:, :3] @ turn.mT)
+    hessian[:, :3, :3].addcmul_(exists, from_left[..., :3] @ turn.mT)
 
 
 @lru_cache(maxsize=2)
