@@ -21,7 +21,7 @@ from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
 from recon.method.terms import Term
-from recon.method.timing import first_to_last, share_of_frames
+from recon.method.timing import first_to_last
 
 _STD_M = 0.01
 """Standard deviation of the joints of an estimate as the network is told, metres."""
@@ -86,7 +86,7 @@ class UnseenLimbs(TensorStruct):
             _mask_at_times(one, sensor.fps, sensor.start_time, times)
             for one, sensor in zip(located, sensors, strict=True) if one is not None
         ]).any(0)  # fmt: skip
-        never = _rotations_below(share_of_frames(seen) < _SELDOM)
+        never = _rotations_below(_share_of_moments(seen) < _SELDOM)
         never &= never[:, list(_BENDING)].any(-1, keepdim=True)
         frames = max(1, min(round(_GAP_S * first.fps) + 1, first.moments))
         rotations = _long_runs(_rotations_below(~seen) & first_to_last(seen)[..., None], frames)
@@ -98,6 +98,12 @@ class UnseenLimbs(TensorStruct):
         """Mask (frames, 22) of the unseen joint rotations of a clip, in the frames of a motion."""
         found = _mask_at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
         return found & motion.valid[0][:, None]
+
+
+def _share_of_moments(seen: Bool[Tensor, "clips moments 22"]) -> Float[Tensor, "clips 22"]:
+    """Return, for each joint, the share of the moments with any data that locate it."""
+    count = seen.any(-1).sum(-1, keepdim=True)
+    return seen.sum(-2) / count.clamp(min=1)
 
 
 def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape 22"]:

@@ -121,7 +121,7 @@ def fit_and_check(
     # check the data: repair faults that are certain, warn of the others
     clip = checked(clip, of_data if options.repair else ())
     if options.completes:
-        fit = _completed_recording(clip.observations, options, body, watch)
+        fit = _completed_recording(clip, options, body, watch)
     else:
         # data with more frames per second than movements need are averaged to a lower rate
         fewer = [paced(one) for one in clip.observations]
@@ -155,7 +155,7 @@ def _start_at_data_rate(
 
 
 def _completed_recording(
-    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
+    clip: CheckedClip, options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
     """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
     # imported only when a gait cycle or a sparse recording is completed
@@ -164,5 +164,5 @@ def _completed_recording(
 
     prior = loaded_prior(options.prior, options.weights, body)
     if isinstance(prior, WholeRecording):
-        return complete_recording(observations, prior, options, body, watch)
-    return complete(observations, replace(options, prior=prior), body, watch)
+        return complete_recording(clip.observations, prior, options, body, watch, clip.start)
+    return complete(clip.observations, replace(options, prior=prior), body, watch)

@@ -66,14 +66,14 @@ def fit_clip(
         options: prior, noise and known quantities.
         body: body model to be fitted.
         watch: called after every iteration.
-        start: a first guess in the frame of the observations, axes (clips, time); None takes it
-            from the data.
+        start: an earlier fit in the observations' frame, axes (clips, time); None for none.
 
     Raises:
         ValueError: when some observations know the ground and others do not, or the start does
             not fit the observations.
     """
     seen, guess = with_first_guess(observations, body, start, options.starting_shape)
+    guess = replace(guess, posed=start is not None)
     return clip_problem(seen, guess, options, body, watch).solved()
 
 

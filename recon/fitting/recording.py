@@ -87,6 +87,7 @@ def complete_recording(
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
+    start: Motion | None = None,
 ) -> ClipFit:
     """Fit one motion to a sparse recording: any motion first, then gait, cycle by cycle.
 
@@ -96,6 +97,7 @@ def complete_recording(
         options: options of the fit; the prior in them is ignored.
         body: body model to be fitted.
         watch: called after every iteration.
+        start: an earlier fit, axes (1, time); None for none.
 
     Raises:
         ObservationError: when at most one frame has data.
@@ -116,7 +118,8 @@ def complete_recording(
         given_or_usual_noise(one, options.noise_of(row), few) for row, one in enumerate(seen)
     )
     any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
-    first = fit_clip(seen, any_motion, body, watch)
+    begun = start and start.resample(max(one.fps for one in seen))
+    first = fit_clip(seen, any_motion, body, watch, begun)
     motion = first.result.clip(0).detach()
     gait = (
         _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []

@@ -67,6 +67,17 @@ def test_a_walk_of_few_moments_is_one_motion_with_its_stretches_told(truth, tmp_
 
 
 @pytest.mark.numerics
+def test_few_moments_of_somebody_who_goes_far_are_followed():
+    """HuMoR began from one place for all moments, and stayed there: 1.5 m beside a fighter."""
+    clip = walk()[0].replace(start_time=0.0)
+    there = clip.translation.clone()
+    there[:, 0] += torch.linspace(0, 8, clip.frames)  # metres
+    far = clip.replace(translation=there)
+    found = recon.complete(seen(far, 2.5), WholeRecording(cycles=None)).motion
+    assert error(found, far) < 0.06  # metres; 0.14 from one place
+
+
+@pytest.mark.numerics
 @pytest.mark.slow
 def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch):
     monkeypatch.setattr(gait, "_NOISE_ENERGY", -1e9)  # no cycle is as good as that

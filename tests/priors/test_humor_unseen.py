@@ -64,6 +64,16 @@ def test_a_limb_may_be_unseen_for_a_while(body: BodyModel) -> None:
     assert torch.equal(most.never[0], BOTH_LEGS)
 
 
+def test_what_few_moments_show_is_seen(body: BodyModel) -> None:
+    """Of moments on a faster clock, most hold no data: they said that nothing was ever seen."""
+    data = seen_data([7, 10]).energy.derived(fps=2.5).on_faster_clock(12)
+    unseen = UnseenLimbs.of([Term("data", data, 1.0)], body)
+    assert unseen is not None
+    assert unseen.never[0].nonzero()[:, 0].tolist() == [4, 7, 10]
+    assert unseen.rotations[0, 1:12].all()
+    assert unseen.rotations[0, 12].nonzero()[:, 0].tolist() == [4, 7, 10]
+
+
 def test_short_gaps_are_left_to_the_prior(body: BodyModel) -> None:
     assert UnseenLimbs.of([seen_data(list(LEGS), moments=20, share=0.25)], body) is None
 
