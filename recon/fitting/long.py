@@ -25,7 +25,7 @@ from recon.method.terms import Term
 from recon.method.windows import joined_windows
 from recon.solver.lbfgs import Progress, Solution
 
-WINDOW, OVERLAP = 4.0, 1.0
+WINDOW, OVERLAP = 6.0, 1.0
 """Longest duration (s) of a window, and the time (s) that it shares with each neighbour."""
 TIE = 1.0
 """Weight of a joint of a finished neighbouring window relative to one of the first observation."""

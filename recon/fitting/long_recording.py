@@ -22,7 +22,7 @@ from recon.method.sensor import Sensor
 from recon.method.timing import at_observation_times
 from recon.method.windows import Windows, smooth_ramp
 
-AT_ONCE = 8
+AT_ONCE = 6
 """Number of windows fitted as one batch, so that memory does not grow with the recording."""
 
 _MIN_FRAMES = 12
