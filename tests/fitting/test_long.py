@@ -245,7 +245,7 @@ def test_bad_requests_are_refused(toy_body):
 def test_long_files_are_fitted_by_windows_and_the_report_says_so(body, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.fitting.clip.LONG", 2.0)
     monkeypatch.setattr("recon.fitting.clip.prior_stages", lambda *_: Rigid(iterations=5).stages)
-    truth = swaying(body, seconds=5.0, fps=6.0)
+    truth = swaying(body, seconds=8.0, fps=6.0)
     observation = seen(body, truth)
     save_observation(
         tmp_path / "seen.npz",
