@@ -90,9 +90,8 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
         steady = steady.swapped(pair, moments)
         named, more = exchanged_back(named, (pair,), moments)
         found += more
-    if jumps := identity_changes(
-        steady.positions, steady.visible, steady.fps
-    ):  # one body cannot fit two people
+    # one body cannot fit two people
+    if jumps := identity_changes(steady.positions, steady.visible, steady.fps):
         return named.observation, found + Findings(warnings=jumps), None, None
     named, more = _names_repaired(named.permuted(named.counterparts, flips), steady, body)
     found += more
@@ -117,11 +116,7 @@ def _names_repaired(
 def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, int], ...]:
     """Return pairs of points that carry each other's name in all frames; usually there are none.
 
-    Bone lengths suggest candidates, which quick fits must confirm.
-
-    Args:
-        points: points without outliers.
-        body: body model to be fitted.
+    Bone lengths suggest candidates, which quick fits must confirm. Points have no outliers.
     """
     groups, always = limbs_maybe_exchanged(points), np.ones(len(points.visible), dtype=bool)
     if (pair := exchanged_throughout(points)) is not None:
@@ -182,17 +177,22 @@ def _pairs_repaired(
     """Undo exchanges of two points' names that last for a while, found by a quick fit."""
     found, noise = NOTHING, temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
-    pairs = exchanged_moments(predicted, noise)
+    pairs, sure = exchanged_moments(predicted, noise), True
     if pairs or misplaced_points(predicted, noise)[1] or without_outliers(predicted, noise)[1]:
         # points may only look wrong because the quick fit ended in a poor minimum: try another
         fitted = with_second_start(fitted, body)
-        pairs = exchanged_moments(PredictedPoints.of(named, fitted.points, fitted.estimate), noise)
+        again = exchanged_moments(PredictedPoints.of(named, fitted.points, fitted.estimate), noise)
+        pairs, sure = again or pairs, len(again) > 0
+    if not pairs:
+        return named, fitted, NOTHING
+    repaired = named
     for pair, moments in pairs:
-        named, said = exchanged_back(named, (pair,), moments)
+        repaired, said = exchanged_back(repaired, (pair,), moments)
         found += said
-    if pairs:
-        (fitted,) = quick_fits([without_implausible(named).observation], body)
-    return named, fitted, found
+    (tried,) = quick_fits([without_implausible(repaired).observation], body)
+    if sure or tried.cost < _PAIR_RATIO * fitted.cost:
+        return repaired, tried, found
+    return named, fitted, NOTHING  # only the worse of two fits has the points exchanged
 
 
 def exchanged_back(

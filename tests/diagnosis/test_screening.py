@@ -196,6 +196,19 @@ def test_exchanged_ankles_are_exchanged_back():
 
 
 @pytest.mark.numerics
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("first", [10, 40])
+def test_a_wrist_and_its_elbow_exchanged_for_a_moment_are_exchanged_back(side, first):
+    """Quick fits of few frames a second turned the arm about, and left its joints 3 cm off."""
+    clip = joints3d(walk(60), bundled(), Corruption(noise=0.02), 0).map(lambda t: t[None])
+    pair = [JOINTS.index(f"{side}_{name}") for name in ("wrist", "elbow")]
+    positions = clip.positions.clone()
+    positions[0, first : first + 6, pair] = positions[0, first : first + 6, pair[::-1]]
+    found = screened(clip.replace(positions=positions))
+    assert codes(found) == (["points exchanged"], [])
+    assert torch.equal(found.points.positions, clip.positions)
+
+
 @pytest.mark.parametrize("parts", [("hip", "knee"), ("shoulder", "elbow"), ("ankle", "foot")])
 def test_a_part_of_both_limbs_with_exchanged_names_is_exchanged_back(parts):
     """Hips and knees of the other sides above right ankles cost 4 cm without a word.
