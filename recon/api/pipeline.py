@@ -120,24 +120,23 @@ def fit_and_check(
     of_fit = [one for one in checks if one not in of_data]
     # check the data: repair faults that are certain, warn of the others
     clip = checked(clip, of_data if options.repair else ())
-    if options.completes:
-        fit = _completed_recording(clip, options, body, watch)
-    else:
-        # data with more frames per second than movements need are averaged to a lower rate
-        fewer = [paced(one) for one in clip.observations]
-        found = clip.start if start is None else None
-        start = _start_at_data_rate(fewer, start, found)
-        if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import motion_in_room  # imported only for treadmills
+    # data with more frames per second than movements need are averaged to a lower rate
+    fewer = clip.observations if options.completes else [paced(one) for one in clip.observations]
+    found = clip.start if start is None else None
+    start = _start_at_data_rate(fewer, start, found)
+    if clip.belt is not None and start is not None:
+        from recon.diagnosis.movement import motion_in_room  # imported only for treadmills
 
-            start = motion_in_room(start, -clip.belt)
+        start = motion_in_room(start, -clip.belt)
+    if options.completes:
+        fit = _completed_recording(fewer, options, body, watch, start)
+    else:
         # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = with_first_guess(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem to solve: residuals over their noise, with ground and focal length if unknown
-        problem = clip_problem(seen, guess, options, body, watch)
-        # minimise the objectives of the prior's stages, one after the other
-        fit = problem.solved()
+        # and its solution: minima of the prior's stages, one after the other
+        fit = clip_problem(seen, guess, options, body, watch).solved()
     # check the result: residuals, standard deviations, other hypotheses, plausible movement
     return checked(ExaminedClip.of(clip, fit), of_fit)
 
@@ -155,8 +154,9 @@ def _start_at_data_rate(
 
 
 def _completed_recording(
-    clip: CheckedClip, options: FitOptions, body: BodyModel, watch: Watch | None
-) -> ClipFit:
+    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None,
+    start: Motion | None,
+) -> ClipFit:  # fmt: skip
     """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
     # imported only when a gait cycle or a sparse recording is completed
     from recon.fitting.cycles import complete
@@ -164,5 +164,5 @@ def _completed_recording(
 
     prior = loaded_prior(options.prior, options.weights, body)
     if isinstance(prior, WholeRecording):
-        return complete_recording(clip.observations, prior, options, body, watch, clip.start)
-    return complete(clip.observations, replace(options, prior=prior), body, watch)
+        return complete_recording(observations, prior, options, body, watch, start)
+    return complete(observations, replace(options, prior=prior), body, watch)

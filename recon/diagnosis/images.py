@@ -15,7 +15,7 @@ from observations.start.images import pixels_per_metre
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.diagnosis.findings import stretches
-from recon.diagnosis.quick_fit import QUICK_PACE, middle_seconds, quick_stages
+from recon.diagnosis.quick_fit import middle_seconds, quick_stages
 from recon.fitting.stages import for_one_view
 from recon.method.pace import PACE, paced
 from recon.method.reconstruction import solve
@@ -202,6 +202,8 @@ def _pixels_per_metre(
 
 _AROUND_CHANGE_S = 0.5
 """Time (s) before and after a change of names that quick fits cover."""
+_QUICK_PACE = 15.0
+"""Frame rate (Hz) of the first of two fits that must agree."""
 _MAX_COST_RATIO = 0.8
 """Ratio to which undoing a change of names must reduce the objective of a quick fit. For true
 changes of training people it is 0.7 at most; if right names are changed, 1.4 at least."""
@@ -254,14 +256,14 @@ def fits_better_exchanged(images: Images, share: float) -> bool:
     """Whether a body fits one view clearly better with all names of left and right exchanged.
 
     Knees, feet and the face tell the front from the back, and so the sides. The exchange must
-    reduce the objective below `share` of its value, in fits at 15 Hz and then at up to 60 Hz: a
-    single fit may end in a wrong local minimum under the right names.
+    reduce the objective below `share` of its value, in fits at `_QUICK_PACE` and then at up to
+    60 Hz: a single fit may end in a wrong local minimum under the right names.
     """
     after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
     excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
     costs = (
         _costs_of_quick_fits([paced(one, rate) for one in excerpts], images.body)
-        for rate in (QUICK_PACE, PACE)
+        for rate in (_QUICK_PACE, PACE)
     )
     return all(exchanged < share * given for given, exchanged in costs)
 
