@@ -8,9 +8,13 @@ import numpy as np
 from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
-from recon.fitting.recording import SWING
 from recon.fitting.records import ClipFit, seen_times
 from recon.method.cycle_prior import CyclePrior
+
+SWING = 0.3
+"""Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
+Of the cycles that it finds in the validation motions, 96 % are below, and the others are people
+who stand; all completions of motions without cycles were above."""
 
 _COVERED = 0.75
 """Share of the completed motion that this cycle must be."""

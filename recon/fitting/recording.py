@@ -4,8 +4,7 @@ A fit with a prior of any motion explains the whole recording, by windows, with 
 few frames were seen, the motion in between is a guess of that prior, and in gait a prior of cycles
 knows more. So every cycle that the hips of the first fit show is completed from its data; cycles
 that explain them join the data of a second fit of the whole recording. It follows the data where
-there are any and cycles in between, and is smooth everywhere. A recording that is one cycle, seen
-in few frames, is completed as one code from many starts.
+there are any and cycles in between, and is smooth everywhere.
 """
 
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from typing import ClassVar
 import torch
 
 from observations.depth import CLOUD_NOISE
-from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
+from recon.body.cycles import find_cycles
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, WeightsError
 from recon.core.motion import Motion
@@ -25,7 +24,6 @@ from recon.fitting.cycles import (
     NAMED_NOISE,
     RATES,
     at_least_30_hz,
-    complete,
     cycle_noise,
     cycle_prior,
     observations_in_space,
@@ -33,19 +31,13 @@ from recon.fitting.cycles import (
     seen_times,
 )
 from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches_of_cycles
-from recon.fitting.methods import FitOptions, loaded_prior
+from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit, Stretch
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 FEW = 12.0
 """Frames with data per second below which cycles of gait help to fill in what happens between."""
-SWING = 0.3
-"""Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
-Of the cycles that it finds in the validation motions, 96 % are below, and the others are people
-who stand; all completions of motions without cycles were above."""
-_MIN_COVERED = 0.75
-"""Share of a recording that its only cycle must last."""
 _MIN_STRETCH_S = 0.05
 """Duration (s) above which a stretch is reported."""
 
@@ -112,8 +104,6 @@ def complete_recording(
         for one in observations
     ]
     few = bool(in_space) and seen_moments_per_second(in_space) < FEW
-    if few and (one := _fit_as_one_cycle(observations, prior, options, body, watch)) is not None:
-        return one
     noise = tuple(
         given_or_usual_noise(one, options.noise_of(row), few) for row, one in enumerate(seen)
     )
@@ -140,34 +130,6 @@ def complete_recording(
         observations=second.observations[:-1],
         stretches=stretches,
     )
-
-
-def _fit_as_one_cycle(
-    observations: Sequence[Sensor],
-    prior: WholeRecording,
-    options: FitOptions,
-    body: BodyModel,
-    watch: Watch | None,
-) -> ClipFit | None:
-    """Fit the recording as one gait cycle; None if it is longer or its hips do not show one."""
-    seen = observations_in_space(observations)
-    usual = options.physics == 0 and options.shape is None and not options.terms
-    usual = usual and options.shape_prior is None and options.grounded
-    in_world = len(seen) == len(observations) and all(one.ground_known for one in seen)
-    times = torch.cat([seen_times(one) for one in seen]).unique()
-    seconds = float(times[-1] - times[0])
-    if prior.cycles is None or not (usual and in_world):
-        return None
-    if not SHORTEST_CYCLE <= seconds <= LONGEST_CYCLE:
-        return None
-    cycles = loaded_prior(prior.cycles, prior.cycle_weights, body)
-    fit = complete(seen, replace(options, prior=cycles), body, watch)
-    motion = fit.result.clip(0).detach()
-    covered = [one for one in find_cycles(motion, SWING) if one.duration >= _MIN_COVERED * seconds]
-    if not covered:
-        return None
-    start, stop = motion.start_time, float(motion.times[-1])
-    return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
 def given_or_usual_noise(sensor: Sensor, given: float | None, few_moments: bool) -> float | None:

@@ -9,13 +9,12 @@ import pytest
 
 from priors.anchor.prior import AnchorFrames
 from recon import cli
-from recon.api.cycle import swing_difference_from_textbook
+from recon.api.cycle import SWING, swing_difference_from_textbook
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
 from recon.fitting import cycles as completion
 from recon.fitting.methods import FitOptions
-from recon.fitting.recording import SWING
 from recon.fitting.settings import FitSettings
 from recon.fitting.stages import prior_stages
 from recon.formats.motions import load_motion

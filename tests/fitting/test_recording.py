@@ -21,7 +21,7 @@ from recon.fitting.cycles import NAMED_NOISE, at_least_30_hz, seen_moments_per_s
 from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches_of_cycles
 from recon.fitting.recording import WholeRecording, given_or_usual_noise
 from recon.simulation.points import Corruption, landmarks3d
-from tests.walk_prior import one_cycle, tiny_weights, walk
+from tests.walk_prior import one_cycle, walk
 
 BODY = BodyModel.load()
 RATE = 6.0
@@ -86,14 +86,13 @@ def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch)
     assert any(one.cycles > 0 for one in told)
 
 
-def test_one_cycle_at_few_moments_is_one_code(tmp_path):
-    """HuMoR and the pose prior guess what is before the first of few moments."""
-    path = tiny_weights(tmp_path / "anchor.safetensors")
+@pytest.mark.numerics
+def test_one_cycle_at_few_moments_is_a_motion_like_others():
+    """Codes of cycles alone, from many starts, were up to 14 cm off in one walk of two."""
     cycle = one_cycle(60.0)
-    few = seen(cycle)
-    result = recon.complete(few, WholeRecording(steps="pose", cycle_weights=str(path)))
-    assert [one.prior for one in result.stretches] == ["anchor"]
-    assert error(result.motion, cycle) < 0.04  # metres
+    result = recon.complete(seen(cycle), WholeRecording())
+    assert {one.prior for one in result.stretches} <= {"humor", "humor and anchor"}
+    assert error(result.motion, cycle) < 0.025  # metres
 
 
 def test_one_moment_is_refused(truth):
