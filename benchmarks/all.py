@@ -33,7 +33,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "uncertainty": ("uncertainty", "CORPUS"),
     "slips": ("slips", "CORPUS", "OBSERVATIONS", "--good", "300"),
     "refine": ("refine", "CORPUS"),
-    "recordings": ("complete", "CORPUS", "--part", "validation", "--parts", "recordings"),
+    "recordings": ("complete", "CORPUS", "--part", "test", "--parts", "recordings"),
     "completion": ("complete", "CORPUS", "--parts", "cycles"),
     "retarget": ("retarget", "CORPUS", "--weights", "open"),
     "speed": ("speed", "CORPUS"),
