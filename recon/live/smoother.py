@@ -57,6 +57,8 @@ class ShapeKnowledge:
         solved = torch.cholesky_solve(torch.cat((border, gradient[:, None]), -1), factor)
         learned = equations.corner[0] - border.mT @ solved[:, :-1]
         slope = equations.gradient_shape[0] - border.mT @ solved[:, -1]
+        if not bool(learned.isfinite().all() & slope.isfinite().all()):
+            return self  # no step was taken from these equations
         held = 2 * weight * torch.eye(len(shape), dtype=shape.dtype, device=shape.device)
         return ShapeKnowledge(
             self.information + learned + held, self.pull + learned @ shape - slope, self.frames + 1

@@ -68,6 +68,19 @@ def test_a_step_that_is_not_finite_leaves_the_window(seen, monkeypatch):
     assert window.refined(1).window is window.window
 
 
+def test_no_shape_is_learned_from_equations_that_are_not_finite(seen):
+    live = stream(lag=10)
+    for moment in seen[:20]:
+        live.push(moment)
+    window = live._tracking.smoothed
+    bad = torch.full_like(window.equations.gradient_alone, torch.nan)
+    equations = replace(window.equations, gradient_alone=bad)
+    shape = window.objective.shape
+    assert window.knowledge.with_first_frame(equations, shape, 0.1) is window.knowledge
+    learned = window.knowledge.with_first_frame(window.equations, shape, 0.1)
+    assert learned.frames == window.knowledge.frames + 1
+
+
 def test_the_pose_density_leads_newest_frames_to_the_data(seen):
     """Under HuMoR alone, frames that it does not know stayed 8 cm from joints that were seen."""
     live = stream(prior="humor", lag=10)
