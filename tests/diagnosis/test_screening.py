@@ -195,7 +195,6 @@ def test_exchanged_ankles_are_exchanged_back():
     assert torch.equal(found.points.positions, seen().positions)
 
 
-@pytest.mark.numerics
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("first", [10, 40])
 def test_a_wrist_and_its_elbow_exchanged_for_a_moment_are_exchanged_back(side, first):
@@ -209,6 +208,7 @@ def test_a_wrist_and_its_elbow_exchanged_for_a_moment_are_exchanged_back(side, f
     assert torch.equal(found.points.positions, clip.positions)
 
 
+@pytest.mark.numerics
 @pytest.mark.parametrize("parts", [("hip", "knee"), ("shoulder", "elbow"), ("ankle", "foot")])
 def test_a_part_of_both_limbs_with_exchanged_names_is_exchanged_back(parts):
     """Hips and knees of the other sides above right ankles cost 4 cm without a word.
