@@ -5,10 +5,9 @@
 
 Scanned are bodies of random shapes in clothes (`benchmarks.scans`). Recordings are clips of
 held-out people, at most ten seconds of each, of gait and other movements. Cases are scans per
-second times points, or the 16 landmarks; `cycles of gait` join where few frames are seen. Vertices
-are compared with the true ones at every third frame. A jump is the change of a joint's
-displacement from one frame to the next, as a speed; the largest of a clip, beside the truth's,
-shows seams.
+second times points, or the 16 landmarks. Vertices are compared with the true ones at every third
+frame. A jump is the change of a joint's displacement from one frame to the next, as a speed; the
+largest of a clip, beside the truth's, shows seams.
 
 Cycles are completed under the prior of cycles of gait, from the parts that Marsot et al. observe
 (table 1): p points a frame, or f of 100 frames with all points, with the 16 landmarks and without.
@@ -39,9 +38,7 @@ from benchmarks.scans import (
 )
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Part, Splits, clip_files, is_flat
-from recon.benchmark.table import paired_difference
 from recon.body.cycles import find_cycles
-from recon.fitting.recording import WholeRecording
 from recon.formats.observations import ObservationFile, PointsFile, PositionsFile, save_observation
 from recon.metrics.errors import chamfer_of_clip
 
@@ -105,34 +102,23 @@ def main() -> None:
 
 
 def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Table:
-    """Measure every case over whole recordings, with cycles of gait where few frames are seen."""
-    scans = {
-        clip: scanned(clip, splits.subject(clip), _cut(path), body, points=POINTS + 100)
+    """Measure every case over whole recordings."""
+    scans = [
+        scanned(clip, splits.subject(clip), _cut(path), body, points=POINTS + 100)
         for clip, path in files.items()
-    }
+    ]
     rows: list[list[Cell]] = []
     for case, (rate, points) in CASES.items():
-        plain: list[dict[str, float]] = []
-        for label, name in (("no cycles", None), ("cycles of gait", "anchor")):
-            if name is not None and rate > 10:
-                continue
-            prior = WholeRecording(steps="humor", cycles=name, cycle_weights="open")
-            found: list[dict[str, float]] = []
-            for one in scans.values():
-                began = process_time()
-                motion = completed([thinned(one, rate, points)], prior, "open", body)
-                seconds = process_time() - began
-                found.append({**judged(motion, one.truth, body), "seconds": seconds})
-            plain = plain or found
-            ours, theirs = ([row["vertices"] for row in own] for own in (found, plain))
-            less = paired_difference(ours, theirs, list(scans), ["all"] * len(scans))
-            mean = {key: float(np.mean([row[key] for row in found])) for key in found[0]}
-            keys = ("worst_tenth", "jump", "jump_truth", "seconds")
-            rows.append([f"{case}, {label}", len(found), number(mean["vertices"]),
-                         number(less.mean), *(number(mean[key]) for key in keys)])  # fmt: skip
-    heads = (("clips", 0), ("vertices mm", 1), ("less those without", 1),
-             ("worst tenth of moments", 1), ("largest jump m/s", 2), ("true one", 2),
-             ("CPU s", 0))  # fmt: skip
+        found: list[dict[str, float]] = []
+        for one in scans:
+            began = process_time()
+            motion = completed([thinned(one, rate, points)], "recording", "open", body)
+            seconds = process_time() - began
+            found.append({**judged(motion, one.truth, body), "seconds": seconds})
+        mean = {key: float(np.mean([row[key] for row in found])) for key in found[0]}
+        rows.append([case, len(found), *map(number, mean.values())])
+    heads = (("clips", 0), ("vertices mm", 1), ("worst tenth of moments", 1),
+             ("largest jump m/s", 2), ("true one", 2), ("CPU s", 0))  # fmt: skip
     return Table([("seen", None), *heads], rows)
 
 
@@ -150,7 +136,7 @@ def thinned(one: ScannedCycle, rate: float, points: int) -> ObservationFile:
 
 
 def completed(
-    seen: Sequence[ObservationFile], prior: WholeRecording | str, weights: str, body: BodyModel
+    seen: Sequence[ObservationFile], prior: str, weights: str, body: BodyModel
 ) -> Motion:
     """Return the motion that `recon.complete` makes of files without truth."""
     with tempfile.TemporaryDirectory() as folder:

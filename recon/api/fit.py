@@ -196,9 +196,8 @@ def complete(
 
     Few points of every frame, a few landmarks, few frames at odd times, or all of these: a folder
     of scans (.ply, .pcd) with times.csv or a frame rate, or observations of points, 3D markers or
-    joints; several of one clip add up. HuMoR's steps explain the whole, by windows, with one
-    shape. Where few moments were seen, cycles of gait that explain the data join them, and one
-    motion is fitted to all. The report (`Result.stretches`) says what was used when.
+    joints; several of one clip add up. A motion of 30 Hz or more is fitted to all of them, with
+    one shape; under HuMoR unless another prior is given.
 
     With the prior `anchor` it is one whole cycle of gait (0.3 to 3 s, cut out with `between`) as
     one code, of which many are tried, so that there is no `start`. What is no cycle of gait is
@@ -208,7 +207,7 @@ def complete(
 
     Args:
         observations: as of `recon.fit`: observations, files and folders of one clip.
-        prior: `recording`, or a `WholeRecording` with other priors; for one cycle `anchor`, or a
+        prior: `recording`, or a `WholeRecording` with another prior; for one cycle `anchor`, or a
             loaded `AnchorFrames`.
         how: all others of `recon.fit`.
 

@@ -18,7 +18,7 @@ from recon.core.residuals import Noise
 from recon.diagnosis.certainty import AlternativeMotion, certainty_report
 from recon.diagnosis.examination import ExaminedClip, ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.fitting.records import Clip, Stretch
+from recon.fitting.records import Clip
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 from recon.method.sensor import unposed_camera, views_of
@@ -154,11 +154,6 @@ class Result(MotionResult):
     """What `recon.fit` was called with, in plain values."""
 
     @property
-    def stretches(self) -> tuple[Stretch, ...]:
-        """Parts of a recording and the prior that completed each; empty for other fits."""
-        return self.examined.fit.stretches
-
-    @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
         """Pose that the fit found for a camera that was given without a pose; metres."""
         return None if self.file.T_world_camera is None else self.file.T_world_camera[0]
@@ -257,8 +252,6 @@ class Result(MotionResult):
             report["alternatives"] = [one.report() for one in self.alternatives]
         if self.cycle is not None:
             report["cycle"] = self.cycle
-        if self.stretches:
-            report["stretches"] = [one.report() for one in self.stretches]
         return report | {
             "diagnosis": [finding.report() for finding in self.diagnosis],
             "repairs": [finding.report() for finding in self.repairs],
@@ -320,11 +313,13 @@ def result_of(
     if T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = None
-    if completes and not found.stretches:
-        # imported only when one gait cycle was completed
+    if completes:
+        # imported only when a gait cycle or a sparse recording was completed
         from recon.api.cycle import cycle_report
+        from recon.method.cycle_prior import CyclePrior
 
-        cycle = cycle_report(found, [one.median for one in examined.residuals])
+        if isinstance(found.result.reports[-1].stage.prior, CyclePrior):
+            cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt, cameras = None, ()
     if views_of(found.observations):
         from recon.api.filming import filming_cameras  # imported only when a clip has images

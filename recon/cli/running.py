@@ -105,12 +105,6 @@ def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: s
             f"code distance {cycle['code_distance']:.2f}, "
             f"residual {residuals} mm"
         )
-    for one in report.get("stretches", ()):
-        console.print_progress(
-            f"{one['start']:7.2f} s to {one['stop']:7.2f} s: {one['prior']}, seen at "
-            f"{one['moments_seen']} moments"
-            + (f", {one['joined']} of {one['cycles']} cycles of gait" if one["cycles"] else "")
-        )
     console.print_findings(report)
     for title, rows in tables.items():
         console.print_table(title, rows)

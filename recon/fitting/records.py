@@ -1,7 +1,6 @@
 """Records of the fit of one clip: its input `Clip`, its result `ClipFit`."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -66,35 +65,6 @@ def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """A part of a completed recording, the prior that completed it, and its gait cycles."""
-
-    start: float
-    """Time (s) of its start on the recording's clock."""
-    stop: float
-    prior: str
-    """Name of the prior or priors: `humor`, `anchor`, or `humor and anchor`."""
-    moments: int
-    """Number of its frames with data."""
-    cycles: int = 0
-    """Number of gait cycles that the hips show."""
-    joined: int = 0
-    """Number of cycles that explain their data as well as the first fit, and joined the second."""
-    energy: float | None = None
-    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
-    first: float | None = None
-    """Energy of the data under the first fit, with which that of the cycles was compared."""
-
-    def report(self) -> dict[str, Any]:
-        """Return the stretch as a dictionary of plain values, for reports."""
-        values = {"start": self.start, "stop": self.stop, "prior": self.prior}
-        values |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
-        if self.energy is not None:
-            values |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
-        return values
-
-
-@dataclass(frozen=True)
 class ClipFit:
     """The fit of one clip, with its observations, noise and ground."""
 
@@ -111,8 +81,6 @@ class ClipFit:
     and its z = 0 means nothing."""
     ground_seen: bool = False
     """Whether an unknown ground was laid on a plane that is given or seen."""
-    stretches: tuple[Stretch, ...] = ()
-    """Parts of a completed recording, in the order of time; empty for other fits."""
 
     @property
     def comparisons(self) -> tuple[ComparedHypotheses, ...]:

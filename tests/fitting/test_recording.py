@@ -1,24 +1,16 @@
-"""Whole recordings from few moments: one motion, gait told by cycles where they explain it."""
+"""Whole recordings from few moments."""
 
-import json
-from itertools import pairwise
-
-import numpy as np
 import pytest
 import torch
 
 import recon
 from observations.depth import PointCloud
-from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from observations.surfels import Surfels
-from recon.body.cycles import Cycle
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting import gait
 from recon.fitting.cycles import NAMED_NOISE, at_least_30_hz, seen_moments_per_second
-from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches_of_cycles
 from recon.fitting.recording import WholeRecording, given_or_usual_noise
 from recon.simulation.points import Corruption, landmarks3d
 from tests.walk_prior import one_cycle, walk
@@ -52,18 +44,11 @@ def truth() -> Motion:
 
 
 @pytest.mark.numerics
-def test_a_walk_of_few_moments_is_one_motion_with_its_stretches_told(truth, tmp_path):
-    result = recon.complete(seen(truth), WholeRecording(steps="pose"))
+def test_a_walk_of_few_moments_is_completed_under_another_prior(truth):
+    result = recon.complete(seen(truth), WholeRecording(prior="pose"))
     assert result.motion.fps >= 30
+    assert result.cycle is None
     assert error(result.motion, truth) < 0.035  # metres
-    told = result.stretches
-    assert told[0].start == pytest.approx(0)
-    assert told[-1].stop == pytest.approx(float(result.motion.times[-1]), abs=0.06)
-    assert all(a.stop == pytest.approx(b.start) for a, b in pairwise(told))
-    assert any(one.joined > 0 and one.prior == "pose and anchor" for one in told)
-    result.save(tmp_path / "motion.npz")
-    report = json.loads((tmp_path / "motion.npz.json").read_text())
-    assert [one["prior"] for one in report["stretches"]] == [one.prior for one in told]
 
 
 @pytest.mark.numerics
@@ -73,25 +58,15 @@ def test_few_moments_of_somebody_who_goes_far_are_followed():
     there = clip.translation.clone()
     there[:, 0] += torch.linspace(0, 8, clip.frames)  # metres
     far = clip.replace(translation=there)
-    found = recon.complete(seen(far, 2.5), WholeRecording(cycles=None)).motion
+    found = recon.complete(seen(far, 2.5)).motion
     assert error(found, far) < 0.06  # metres; 0.14 from one place
-
-
-@pytest.mark.numerics
-@pytest.mark.slow
-def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch):
-    monkeypatch.setattr(gait, "_NOISE_ENERGY", -1e9)  # no cycle is as good as that
-    told = recon.complete(seen(truth), WholeRecording(steps="pose")).stretches
-    assert {one.prior for one in told} == {"pose"}
-    assert any(one.cycles > 0 for one in told)
 
 
 @pytest.mark.numerics
 def test_one_cycle_at_few_moments_is_a_motion_like_others():
     """Codes of cycles alone, from many starts, were up to 14 cm off in one walk of two."""
     cycle = one_cycle(60.0)
-    result = recon.complete(seen(cycle), WholeRecording())
-    assert {one.prior for one in result.stretches} <= {"humor", "humor and anchor"}
+    result = recon.complete(seen(cycle))
     assert error(result.motion, cycle) < 0.025  # metres
 
 
@@ -127,39 +102,3 @@ def test_scans_at_odd_times_count_as_much_on_a_fast_clock(truth):
     assert noises[1] == pytest.approx(NAMED_NOISE * 0.15**0.5)
     assert given_or_usual_noise(odd, 0.02, few_moments=True) == pytest.approx(0.02 * 0.15**0.5)
     assert given_or_usual_noise(fast, None, few_moments=False) is None
-
-
-def test_cycles_that_overlap_or_follow_are_one_stretch():
-    spans = ((0.0, 1.0), (0.5, 1.5), (1.55, 2.5), (4.0, 5.0))
-    cycles = [Cycle(start, stop, "left", 0.0) for start, stop in spans]
-    assert [len(one) for one in stretches_of_cycles(cycles)] == [3, 1]
-
-
-def test_cycles_fade_into_each_other_and_out(truth):
-    """Cycles that differ by a step meet without one: what they tell has no jump anywhere."""
-    motion = truth.window(0, 121)
-    moved = motion.replace(translation=motion.translation + 0.1)
-    cycles = [
-        CompletedCycle(
-            Cycle(0.2, 1.2, "left", 0.0), motion.at(_times(0.2, 1.2), 60.0), 0.0, 0.0, 0.0
-        ),
-        CompletedCycle(
-            Cycle(0.7, 1.7, "right", 0.0), moved.at(_times(0.7, 1.7), 60.0), 0.0, 0.0, 0.0
-        ),
-    ]
-    told = joints_of_cycles(cycles, motion, BODY)
-    assert isinstance(told, Joints3D)
-    assert told.std is not None
-    there = told.visible[0, :, 0]
-    assert bool(there[30:90].all())
-    assert not bool(there[:12].any())
-    assert float(told.std[0, 20].min()) > float(told.std[0, 42].min())  # ends are less sure
-    away = (told.positions[0] - BODY.pose(motion).joints)[there]
-    steps = away.diff(dim=0).norm(dim=-1)
-    assert float(away.norm(dim=-1).max()) == pytest.approx(0.1 * 3**0.5, abs=1e-3)
-    assert float(steps.max()) < 0.1 * 3**0.5 / 8
-
-
-def _times(start: float, stop: float) -> torch.Tensor:
-    count = round((stop - start) * 60)
-    return torch.from_numpy(start + np.arange(count + 1) / 60)
