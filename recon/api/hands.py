@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.noise import estimate_noise
@@ -35,6 +35,8 @@ _ONE_VIEW = 2.0
 """Factor of standard deviations of fingertips from one view, near which bends may be mistaken for
 others: nine tenths of the errors are below 1.645 of them in the twenty poses (of the tests'
 `poses.csv`) that it was chosen for, 85 % in the twenty others."""
+_SAME_TIME = 0.02
+"""Frames of a sensor from one of its frames within which a time counts as that frame's."""
 _KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
 
 
@@ -115,35 +117,53 @@ def _hands_at_frames(
     fitted_sensor: Any,
     T_world_recording: Float[Tensor, "4 4"],
 ) -> _SeenHands:
-    """Return one sensor's hand keypoints, sampled at the times of the motion's frames.
+    """Return one sensor's hand keypoints at the times of the motion's frames.
 
-    Points that are relative to the body are moved to where the body is.
+    Between two frames of the sensor, points are interpolated if both show them; those of a moving
+    camera are taken from the nearest frame. Points that are relative to the body are moved to
+    where the body is.
     """
-    numbers = ((motion.times - fitted_sensor.start_time) * sensor.fps).round().long()
-    there = (numbers >= 0) & (numbers < sensor.moments)
+    moving = sensor.view is not None and fitted_sensor.camera.T_camera_world.shape[1] > 1
+    frames, share = _neighbouring_frames(motion.times, fitted_sensor, nearest=moving)
+    there = ((frames >= 0) & (frames < sensor.moments)).all(0)
+    frames, share = frames.clamp(0, sensor.moments - 1), share[..., None, None]
     points = sensor.fingers[0].double().cpu()
-    numbers = numbers.clamp(0, sensor.moments - 1)
-    rows = points[numbers]
-    values, confidence, camera = rows[..., :-1], rows[..., -1] * there[:, None], None
+    rows = points[frames]
+    confidence, camera = rows[..., -1].amin(0) * there[:, None], None
+    values = (share * rows[..., :-1]).sum(0)
     if sensor.view is None:
         noise = _hand_noise(points, _NOISE_M)
-        values = values @ T_world_recording[:3, :3].mT + T_world_recording[:3, 3]
+        turn, away = T_world_recording[:3, :3], T_world_recording[:3, 3]
+        values = values @ turn.mT + away
         if not sensor.placed:
-            own = (
-                sensor.positions[0, numbers].double() @ T_world_recording[:3, :3].mT
-                + T_world_recording[:3, 3]
-            )
-            counts = sensor.visible[0, numbers].double()[..., None]
-            away = (sensor.predict(body.pose(motion)).double() - own) * counts
-            values = values + away.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(min=1)
+            own = (share * sensor.positions[0, frames].double()).sum(0) @ turn.mT + away
+            counts = sensor.visible[0, frames].all(0).double()[..., None]
+            offset = (sensor.predict(body.pose(motion)).double() - own) * counts
+            values = values + offset.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(1)
     else:
         noise = _hand_noise(points, _NOISE_PX)
         camera = fitted_sensor.camera.moved(T_world_recording.numpy()).map(
             lambda x: x[0].double().cpu()
         )
         if camera.T_camera_world.shape[0] > 1:
-            camera = camera.at(numbers)
+            camera = camera.at(frames[0])
     return _SeenHands(values * (confidence > 0)[..., None], confidence, camera, noise)
+
+
+def _neighbouring_frames(
+    times: Float[Tensor, " time"], sensor: Any, *, nearest: bool
+) -> tuple[Int[Tensor, "2 time"], Float[Tensor, "2 time"]]:
+    """Return the sensor's frames before and after each time, and their shares in it.
+
+    With `nearest`, or at the time of a frame, both are the nearest frame.
+    """
+    position = (times - sensor.start_time) * sensor.fps
+    whole = position.round()
+    at_frame = (position - whole).abs() < (torch.inf if nearest else _SAME_TIME)
+    before = torch.where(at_frame, whole, position.floor())
+    share = torch.where(at_frame, 0.0, position - before)
+    frames = torch.stack((before, before + ~at_frame)).long()
+    return frames, torch.stack((1 - share, share))
 
 
 def _hand_noise(points: Float[Tensor, "moments 42 numbers"], limits: tuple[float, ...]) -> float:

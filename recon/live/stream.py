@@ -216,10 +216,19 @@ class Stream:
     def _after_clock_jump(
         self, moment: Moment, last: float, sensors: StreamSensors
     ) -> LiveEstimate | None:
-        """Handle a jump of the clock: skip one such moment, start anew if the next confirms it."""
+        """Handle a jump of the clock: skip one such moment, start anew if the next confirms it.
+
+        Raises:
+            ObservationError: when the clock jumps from every moment to the next.
+        """
         jumped_to = self._jumped_to
         self._jumped_to = moment.time
-        if jumped_to is None or abs(moment.time - jumped_to) > GONE_S:
+        if jumped_to is not None and abs(moment.time - jumped_to) > GONE_S:
+            raise ObservationError(
+                f"expected times in seconds, {1 / sensors.fps:.3f} apart, got {last:.6g}, "
+                f"{jumped_to:.6g} and {moment.time:.6g}; divide milliseconds by 1000"
+            )
+        if jumped_to is None:
             self._add_finding(
                 "jump",
                 f"the clock jumped from {last:.3f} s to {moment.time:.3f} s; the moment was left "

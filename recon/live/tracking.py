@@ -68,6 +68,8 @@ _MAX_DEVIATION_M, _MAX_SPEED_M_S = 0.5, 10.0
 it is expected. Nobody moves so fast."""
 _PERSISTS = 0.3
 """Seconds after which points in an impossible place are taken for the person."""
+_UNDERGROUND_M, _FLOATS_M = -0.3, 0.6
+"""Heights (m) of the lowest joint beyond which, in all first frames, axes or floor are wrong."""
 _MIN_MOMENTS = 5
 """Moments with points of which a motion is made when no more come."""
 _LEARNED = 300
@@ -196,6 +198,14 @@ class Tracking(TrackedPerson):
             )
             self.gathered = []
             return False
+        lowest = first.objective.posed(first.window)[2][..., 2].amin(-1)
+        if float(lowest.max()) < _UNDERGROUND_M or float(lowest.min()) > _FLOATS_M:
+            height = float(lowest.median())
+            said = (
+                f"the body's lowest joint is at z = {height:.2f} m; moments are in metres, with z "
+                "up and the ground at z = 0"
+            )
+            findings.append(Finding("floor", said, value=height))
         self.smoothed = first
         self.times = [moment.time for moment in self.gathered]
         self.gathered = []

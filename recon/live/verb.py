@@ -51,11 +51,12 @@ def stream(
     """
     import sys
     from contextlib import ExitStack
-    from typing import Any, cast
+    from typing import Any
 
     from recon.cli import console
     from recon.cli.inputs import check_inputs
-    from recon.reading.read import load_observation
+    from recon.fitting.settings import FitSettings
+    from recon.reading.clip import load_clip
 
     check_inputs({"observations": observations, "camera": camera, "body": body})
     from recon.api.given import body_given
@@ -71,10 +72,13 @@ def stream(
         if live_link is not None:
             unreal = LiveLink(live_link, complain=console.print_error)
             links.append(stack.enter_context(unreal))
-        many = observations[0] if len(observations) == 1 else list(observations)
-        seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
-        likely = prior if method is None else loaded_look(method, "open", body_given(body))
-        live = Stream(likely, lag, template=seen, noise=noise, shape=shape, body=body)
+        model = body_given(body)
+        clip = load_clip(observations, FitSettings(camera=camera, frame_rate=frame_rate), model)
+        for note in (*clip.notes, "moments are in metres, with z up and the ground at z = 0"):
+            console.print_note(note)
+        likely = prior if method is None else loaded_look(method, "open", model)
+        seen: Any = clip.observations[0] if len(clip.names) == 1 else list(clip.observations)
+        live = Stream(likely, lag, template=seen, noise=noise, shape=shape, body=model)
         sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
         lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
         for line in stream_lines(lines, live, console.print_error, links):

@@ -8,7 +8,7 @@ import torch
 
 import recon
 from recon.live.lines import stream_lines
-from tests.live.conftest import FPS, FRAMES, joints_of, played, stream
+from tests.live.conftest import FPS, FRAMES, codes, joints_of, played, stream
 
 LINES = (
     "[" * 100_000, '{"points": ' + "[" * 100_000, '{"time": 1' + "0" * 400 + ', "points": []}',
@@ -77,3 +77,18 @@ def test_a_thousand_bad_moments_among_five_thousand(seen):
     found = [json.loads(line)["time"] for line in stream_lines(lines(), live, told.append)]
     assert found == pytest.approx([k / FPS for k in range(5000)], abs=1e-5)
     assert len(told) == 500
+
+
+def test_times_in_milliseconds_are_refused(seen):
+    """Every moment was a jump of the clock: no estimate came, and no word."""
+    live = stream(lag=4)
+    assert live.push(seen[0], 0.0) is None
+    assert live.push(seen[1], 33.3) is None
+    with pytest.raises(recon.ObservationError, match="divide milliseconds by 1000"):
+        live.push(seen[2], 66.7)
+
+
+def test_moments_with_another_axis_up_are_told(seen):
+    turned = seen[..., [0, 2, 1]] * np.float32([1, 1, -1]) - np.float32([0, 0, 1])
+    assert "floor" in codes(played(stream(lag=4), turned))
+    assert "floor" not in codes(played(stream(lag=4), seen))
