@@ -16,10 +16,13 @@ from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.units import METRES, Hand, Up, check_unit, to_z_up
 from recon.formats.estimates import BodyEstimate, read_estimate
+from recon.formats.observations import KeypointsFile
 from recon.formats.opening import load_arrays
 
 LEAST_FRAMES = 4
 """Fewest frames that tell how a person moves."""
+_MAX_OTHER_FRAMES = 0.1
+"""Share of a film's frames by which an estimate of the same rate may have more or fewer."""
 
 
 def estimate_given(
@@ -32,6 +35,7 @@ def estimate_given(
     up: Up | None,
     hand: Hand | None,
     person: int | None,
+    film: KeypointsFile | None = None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
     """Read another program's motion onto our body, z up; return it, its known frames and notes.
 
@@ -45,10 +49,11 @@ def estimate_given(
         up: axis of the estimate's world that points up; None tells it from how the body stands.
         hand: handedness of its coordinates; None is right.
         person: which of several people in a file, from 0 on.
+        film: 2D keypoints of the film that it is of; its rate is that of an estimate without one.
 
     Raises:
         ReconError: when it is damaged, no estimate, lasts less than four frames, or its frame rate
-            is missing.
+            is missing, or it has no rate and another number of frames than the film.
         FileNotFoundError: when there is no such file.
     """
     known_shape = None if shape is None else shape_given(shape, body)
@@ -65,6 +70,14 @@ def estimate_given(
         return found, torch.ones(found.frames, dtype=torch.bool), ()
     read = read_estimate(Path(motion), person, up)
     rate = read.fps if frame_rate is None else frame_rate
+    if rate is None and film is not None:
+        count, frames, rate = len(read.translation), len(film.pixels), film.fps
+        if abs(count - frames) > _MAX_OTHER_FRAMES * frames:
+            raise ReconError(
+                f"{motion}: does not say how many frames there are per second, and its {count} "
+                f"frames are not the {frames} of the film; give its frame rate (--frame-rate, in "
+                "Python frame_rate)"
+            )
     if rate is None:
         raise ReconError(
             f"{motion}: does not say how many frames there are per second; give the frame rate of "

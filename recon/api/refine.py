@@ -10,7 +10,7 @@ from recon.api.given import BodyLike, MotionLike, ShapeLike, body_given
 from recon.api.observations import GroundChoice
 from recon.api.pipeline import observations_to_fit
 from recon.api.result import Result
-from recon.core.errors import ReconError
+from recon.core.errors import FormatError, ReconError
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.estimates import as_measurement
 from recon.diagnosis.findings import Findings
@@ -55,7 +55,8 @@ def refine(
             are then taken; or None for the bundled body.
         shape: of the person, as `recon.retarget` takes it ("height=1.80"), on the bundled body,
             for which coefficients of another body model mean nothing; None is the average shape.
-        frame_rate: frames per second of an estimate that does not say it.
+        frame_rate: frames per second of an estimate, or of 2D detections, that do not say it; an
+            estimate of a film has the film's unless given.
         unit: of the estimate's translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up, or down; None tells it from the body.
         hand: handedness of the estimate's coordinates; None is right, of keypoints told from the
@@ -77,11 +78,17 @@ def refine(
     people, model = [], body_given(body)
     if film is not None:
         given = {name: how.pop(name) for name in _OF_FILMS if name in how}
-        people = people_of_film(Path(film), ReadOptions.of({"frame_rate": frame_rate, **given}))
-        frame_rate = frame_rate or people[0].files[0].fps
+        try:
+            people = people_of_film(Path(film), ReadOptions.of(given))
+        except FormatError:  # perhaps of detections that do not say their rate
+            if frame_rate is None:
+                raise
+            given["frame_rate"] = frame_rate
+            people = people_of_film(Path(film), ReadOptions.of(given))
+    shown = people[0].files[0] if people else None
     if isinstance(motion, str | Path) and _holds_3d_keypoints(Path(motion)):
         names = ("frame_rate", "unit", "up", "hand", "person")
-        values = (frame_rate, unit, up, hand, person)
+        values = (frame_rate or (shown and shown.fps), unit, up, hand, person)
         reading: dict[str, Any] = dict(zip(names, values, strict=True))
         if not people:
             return fit([motion], prior, body=body, shape=shape, ground=ground, **reading, **how)  # pyright: ignore[reportArgumentType]
@@ -93,7 +100,7 @@ def refine(
         return replace(result, notes=notes, warnings=warnings)
     own = body is not None
     given, known, notes = estimate_given(
-        motion, model, own, shape, frame_rate, unit, up, hand, person
+        motion, model, own, shape, frame_rate, unit, up, hand, person, shown
     )
     if given.frames < LEAST_FRAMES:
         raise ReconError(

@@ -161,6 +161,16 @@ def test_a_film_that_runs_otherwise_than_the_estimate_is_told(tmp_path, run, sai
     assert all(said in one for one in found)
 
 
+def test_an_estimate_and_its_film_have_rates_of_their_own(film, tmp_path):
+    """The film's rate was taken for both: a path was twice as fast, with a vague warning."""
+    every, half = np.load(told(3, tmp_path / "results.npz")), tmp_path / "half.npz"
+    np.savez(half, poses=every["poses"][::2], trans=every["trans"][::2])
+    ask = {"film": film, "up": "y-down", "unit": "m"}
+    with pytest.raises(recon.ReconError, match="are not the 32 of the film; give its frame rate"):
+        recon.refine(half, "pose", **ask)
+    assert recon.refine(half, "pose", frame_rate=15.0, **ask).motion.fps == 15
+
+
 @pytest.mark.slow
 def test_a_film_of_somebody_else_is_refused(film, tmp_path):
     arrays = dict(np.load(told(3, tmp_path / "results.npz")))
