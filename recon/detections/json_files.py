@@ -30,6 +30,7 @@ EXPECTED = (
 """What is read, in messages."""
 _COCO_RANGE = 6.0
 """AlphaPose's scores run to 6 for COCO models, to 1 for others."""
+_SURELY_TO_SIX = 1.5
 _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""
 _SCORES = ("keypoint_scores", "scores")
@@ -112,7 +113,11 @@ def is_alphapose(value: Any) -> bool:
 
 
 def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
-    """Read 2D keypoints of AlphaPose; if scores exceed 1, all are divided by 6, their maximum."""
+    """Read 2D keypoints of AlphaPose, whose scores are at most 1, or 6 (of COCO models).
+
+    They are divided by 6 if a tenth of them is above `_SURELY_TO_SIX`; else scores a little above
+    1 become 1.
+    """
     images = sorted({str(person["image_id"]) for person in people})
     numbers = frame_numbers([PurePath(image).stem for image in images], name)
     by_image = dict(zip(images, numbers, strict=True))
@@ -122,10 +127,13 @@ def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None)
         points = flat_points(person.get("keypoints") or [], f"{name}, image {image}")
         rows.append((by_image[image], points, as_identity(person.get("idx"), name)))
     said: tuple[str, ...] = ()
-    if max(np.nanmax(points[:, 2], initial=0.0) for _, points, _ in rows) > 1:
-        said = (f"AlphaPose's confidences were divided by {_COCO_RANGE:g}, as some exceed 1",)
+    scores = np.concatenate([points[:, 2] for _, points, _ in rows])
+    if np.quantile(np.append(scores[scores > 0], 0.0), 0.9, method="lower") > _SURELY_TO_SIX:
+        said = (f"AlphaPose's confidences were divided by {_COCO_RANGE:g}, as many exceed 1",)
         scale = (1.0, 1.0, _COCO_RANGE)
         rows = [(number, points / scale, identity) for number, points, identity in rows]
+    for _, points, _ in rows:
+        points[:, 2] = points[:, 2].clip(max=1.0)
     rows.sort(key=lambda row: row[0])
     return detections_of_rows(name, sorted(numbers), rows, layout=layout, decisions=said)
 

@@ -34,9 +34,11 @@ def toml_cameras(path: Path) -> dict[str, CameraFields]:
         ValueError: when it is damaged, two cameras have one name, or a lens is a fisheye.
     """
     tables = read_toml(path)
-    cameras: dict[str, CameraFields] = {}
+    found, cameras = tables.get("cameras"), dict[str, CameraFields]()
+    if isinstance(found, dict) and "matrix" not in found:  # caliscope: [cameras.0], [cameras.1]
+        tables = {f"cam_{key}": one for key, one in found.items()}
     for key, table in tables.items():
-        if not isinstance(table, dict) or "matrix" not in table:
+        if not isinstance(table, dict) or "matrix" not in table or table.get("ignore") is True:
             continue
         name = str(table.get("name") or key)
         if name in cameras:

@@ -19,6 +19,7 @@ _WIDTH, _HEIGHT = (
     ("image_width", "image_Width", "width"),
     ("image_height", "image_Height", "height"),
 )
+_FISHEYE_MODELS = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4")
 _ROTATION, _TRANSLATION = ("rvec", "R"), ("tvec", "T")
 
 _KEY = re.compile(r"^[^\s:%-][^\s:]*:", re.MULTILINE)
@@ -26,9 +27,10 @@ _KEY = re.compile(r"^[^\s:%-][^\s:]*:", re.MULTILINE)
 _MOST_ENTRIES = 10_000
 """Most entries that a file may have; a camera has about five."""
 _MATRIX_TEXT = re.compile(
-    r"([^\s:]+):\s*!!opencv-matrix\s+rows:\s*(\d{1,3})\s+cols:\s*(\d{1,3})\s+dt:\s*\S+\s+"
-    r"data:\s*\[([^\]]*)\]"
+    r"([^\s:]+):\s*(?:!!opencv-matrix)?\s*rows:\s*(\d{1,3})\s+cols:\s*(\d{1,3})\s+"
+    r"(?:dt:\s*\S+\s+)?data:\s*\[([^\]]*)\]"
 )
+"""Matches a matrix as OpenCV writes it, with a tag and a type, or as ROS does, without."""
 _MATRIX_NAME = re.compile(r"([^\s:]+):\s*!!")
 _LIST_TEXT = re.compile(r"([^\s:]+):[ \t]*((?:\r?\n[ \t]*-[ \t][^\n]*)+)")
 _SCALAR_TEXT = re.compile(r"([^\s:]+):[ \t]+(\S[^\n]*)")
@@ -80,7 +82,8 @@ def _single_camera(path: Path, values: dict[str, Any]) -> CameraFields:
             f"{path}: expected camera_matrix, or names and K_<name> as in EasyMocap's intri.yml; "
             f"found {', '.join(values) or 'nothing'}"
         )
-    if any(values.get(key) in (1.0, "true", "True") for key in ("fisheye_model", "fisheye")):
+    fisheye = any(values.get(key) in (1.0, "true", "True") for key in ("fisheye_model", "fisheye"))
+    if fisheye or str(values.get("distortion_model")).lower() in _FISHEYE_MODELS:
         raise FormatError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
     return CameraFields(
         name=path.stem, matrix=matrix,

@@ -92,14 +92,17 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 )
             mask = load_silhouettes(settings.masks)
             shown = (inside_silhouettes(shown[0], mask, first_frame=views.first_frame),)
+        others = len(files)
         files += zip(views.names, shown, strict=True)
         clip = _clip_without_needless_ground(files, [*notes, *views.decisions], settings, body)
+        clip = _with_views_at_their_frames(clip, others, views.first_frame)
         span = views.shot
         if len(projects) == 1 and projects[0].frames is not None:
             span = (projects[0].frames[0], projects[0].frames[1] - 1)
         if span is None:
             return clip
-        first, last = ((frame - views.first_frame) / shown[0].fps for frame in span)
+        start = clip.observations[others].start_time
+        first, last = (start + (frame - views.first_frame) / shown[0].fps for frame in span)
         return clip_between(clip, first, last)
 
 
@@ -280,6 +283,25 @@ def clip_of_files(
     observations = tuple(found[k] for k in range(len(files)))
     names = tuple(name for name, _ in files)
     return Clip(observations, names, tuple(notes), T, plane is not None)
+
+
+def _with_views_at_their_frames(clip: Clip, others: int, first_frame: int) -> Clip:
+    """Start views at their first frame's number, beside other observations of that time.
+
+    Views alone begin at time 0, and so do those whose frames are numbered from 1.
+
+    Args:
+        clip: observations, those of the views last.
+        others: number of observations before those of the views.
+        first_frame: number of the first frame of the views.
+    """
+    before, views = clip.observations[:others], clip.observations[others:]
+    start = first_frame / views[0].fps
+    if first_frame < 2 or all(start > one.start_time + one.duration for one in before):
+        return clip
+    note = f"the first frame of the views is number {first_frame}: they begin at {start:.3f} s"
+    views = tuple(one.derived(start_time=one.start_time + start) for one in views)
+    return replace(clip, observations=(*before, *views), notes=(*clip.notes, note))
 
 
 def _clip_without_needless_ground(

@@ -1,6 +1,7 @@
 """Calibration files: every format gives the same camera; units, up axis and lenses are checked."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,9 @@ from tests.keypoint_scene import SIZE, camera, write_toml
 def assert_same(found: CameraArrays, true: CameraArrays) -> None:
     assert found.image_size == true.image_size
     for key in ("camera_matrix", "distortion", "T_camera_world"):
-        assert np.allclose(getattr(found, key), getattr(true, key), atol=1e-9), key
+        one, other = getattr(found, key), getattr(true, key)
+        assert (one is None) == (other is None), key
+        assert one is None or np.allclose(one, other, atol=1e-9), key
 
 
 def write_yaml(path: Path, values: dict[str, np.ndarray | float | list[str]]) -> None:
@@ -160,3 +163,35 @@ def test_missing_and_foreign_files(tmp_path):
         load_cameras(tmp_path / "calib.txt")
     with pytest.raises(ValueError, match=r"intri\.yml"):
         load_cameras(tmp_path)
+
+
+def test_camera_info_of_ros_is_read_and_its_fisheyes_are_refused(tmp_path):
+    """Coefficients of `equidistant` lenses were taken for k1, k2, p1, p2."""
+    true, rows = camera(10), []
+    assert true.distortion is not None
+    shapes = {
+        "camera_matrix": true.camera_matrix,
+        "distortion_coefficients": true.distortion[None],
+    }
+    for name, matrix in shapes.items():
+        rows += [f"{name}:", f"  rows: {len(matrix)}", f"  cols: {matrix.shape[1]}",
+                 f"  data: {matrix.ravel().tolist()}"]  # fmt: skip
+    rows += [f"image_width: {SIZE[0]}", f"image_height: {SIZE[1]}", "distortion_model: plumb_bob"]
+    path = tmp_path / "ros.yaml"
+    path.write_text("\n".join(rows))
+    assert_same(load_cameras(path).cameras["ros"], replace(true, T_camera_world=None))
+    path.write_text("\n".join(rows).replace("plumb_bob", "equidistant"))
+    with pytest.raises(ValueError, match="fisheye lenses are not read"):
+        load_cameras(path)
+
+
+def test_camera_array_of_caliscope_is_read(tmp_path):
+    path = write_toml(tmp_path / "camera_array.toml", {"0": camera(10), "1": camera(100)})
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("name")]
+    nested = (
+        "\n".join(lines).replace("[0]", "[cameras.0]").replace("[1]", "[cameras.1]\nignore = true")
+    )
+    path.write_text(nested)
+    found = load_cameras(path).cameras
+    assert list(found) == ["cam_0"]
+    assert_same(found["cam_0"], camera(10))

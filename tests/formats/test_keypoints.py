@@ -101,6 +101,16 @@ def test_alphapose_scores_run_to_six_for_coco_models(tmp_path):
     assert np.allclose(found.confidence[0], 0.15)
 
 
+def test_alphapose_scores_a_little_above_one_become_one(tmp_path):
+    """All were divided by 6 because of one of 1.06, and every keypoint counted as unsure."""
+    body = person("halpe26")
+    body[0, 2] = 1.06
+    people = [{"image_id": "1.jpg", "keypoints": body.ravel().tolist(), "score": 2.0, "idx": 4}]
+    found = read_keypoints(write(tmp_path / "a.json", people))
+    assert found.confidence[0, 0] == 1.0
+    assert np.allclose(found.confidence[0, 1:], 0.9)
+
+
 def test_mediapipe_fractions_become_pixels_and_need_an_image(tmp_path):
     marks = [{"x": 0.25 + 0.01 * k, "y": 0.5, "z": 0.0, "visibility": 0.7} for k in range(33)]
     for name, value in {

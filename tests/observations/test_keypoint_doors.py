@@ -20,6 +20,7 @@ from recon.mocap.recording import MarkerRecording
 from recon.reading.clip import load_clip
 from tests.filmed import bundled, joint_error, walk
 from tests.formats.pose2sim_files import write_trc as write_pose2sim_trc
+from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
 
 FRAMES = 12
 
@@ -357,3 +358,18 @@ def test_a_tilted_camera_is_not_taken_for_a_level_one(tmp_path):
         y = (x - x[:, 23:25].mean(1, keepdims=True)) @ to_z_up("y-down") @ turn.T
         np.save(tmp_path / "x.npy", y)
         assert read(tmp_path / "x.npy", frame_rate=30.0)[0].level == level
+
+
+def test_views_beside_other_data_begin_at_their_first_frame(tmp_path):
+    """Keypoints from frame 30 on were put at time 0 beside joints, and both were 5 cm off."""
+    names, x = keypoint_names("mediapipe33"), points("mediapipe33")
+    np.savez(tmp_path / "body.npz", keypoints=np.repeat(x, 4, 0), names=names, fps=30.0)
+    people = [[image(figure("openpose25"), camera(10))]] * 10
+    folder = write_openpose(tmp_path / "cam", people, first=15)
+    settings = FitSettings(camera=write_toml(tmp_path / "c.toml", {"cam": camera(10)}),
+                           frame_rate=30.0)  # fmt: skip
+    clip = load_clip([tmp_path / "body.npz", folder], settings, bundled())
+    assert [one.start_time for one in clip.observations] == [0.0, 0.5]
+    assert any("number 15: they begin at 0.500 s" in note for note in clip.notes)
+    alone = load_clip([folder], settings, bundled())
+    assert alone.observations[0].start_time == 0.0
