@@ -16,7 +16,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.fingers import FINGERS, HAND_JOINTS, HAND_PARENTS, ROWS
+from recon.core.fingers import FINGERS, HAND_JOINTS, HAND_PARENTS, ROWS, Hands
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
 
@@ -176,6 +176,22 @@ def hand_arrays() -> dict[str, Tensor]:
         key: torch.from_numpy(one.astype(np.int64 if one.dtype.kind == "u" else np.float64))
         for key, one in numbers.items()
     }
+
+
+def with_bones_grown(
+    hands: Hands,
+    body: BodyModel,
+    before: Float[Tensor, "*batch shape"],
+    after: Float[Tensor, "*batch shape"],
+) -> Hands:
+    """Return hands whose measured bones grow as the model's do from one body shape to another."""
+    if hands.lengths is None:
+        return hands
+    count, lengths = before.shape[-1], hands.lengths.clone()
+    pairs = zip(before.reshape(-1, count), after.expand_as(before).reshape(-1, count), strict=True)
+    grown = [HandModel.of(body, b).lengths / HandModel.of(body, a).lengths for a, b in pairs]
+    lengths[..., ROWS] *= torch.stack(grown).reshape(*before.shape[:-1], 2, 20).to(lengths)
+    return hands.replace(lengths=lengths)
 
 
 def finger_offsets(motion: Motion, body: BodyModel) -> Float[Tensor, "40 3"]:

@@ -79,10 +79,11 @@ def with_equal_pelvis_path(
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
     """Give a motion another body shape, and scale its path by the ratio of leg lengths.
 
-    Rotations stay. The pelvis' path, from its place above the ground in the first frame and the
-    level of the toe joints at rest, grows with the legs (pelvis to toes), and the toes' level
-    becomes that of the new toes. Where legs keep their proportions no foot slips or rises; else
-    soles rise or sink by millimetres, up to two centimetres at heel strikes. Time is not scaled.
+    Rotations stay; finger bones grow as those of the body's hands do. The pelvis' path, from its
+    place above the ground in the first frame and the level of the toe joints at rest, grows with
+    the legs (pelvis to toes), and the toes' level becomes that of the new toes. Where legs keep
+    their proportions no foot slips or rises; else soles rise or sink by millimetres, up to two
+    centimetres at heel strikes. Time is not scaled.
 
     Raises:
         ValueError: when the body has fewer shape coefficients.
@@ -93,8 +94,13 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     origin = torch.cat((pelvis[..., :1, :2], _per_frame(toes_before)), -1)
     target = torch.cat((pelvis[..., :1, :2], _per_frame(toes_after)), -1)
     moved = target + scale * (pelvis - origin)
+    hands = motion.hands
+    if hands is not None:
+        from recon.body.hands import with_bones_grown  # rarely needed
+
+        hands = with_bones_grown(hands, body, motion.shape, shape)
     return motion.replace(
-        translation=moved - body.rest_joints(shape)[..., None, 0, :], shape=shape
+        translation=moved - body.rest_joints(shape)[..., None, 0, :], shape=shape, hands=hands
     )
 
 

@@ -9,9 +9,11 @@ from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from recon.api.hands import _hands_at_frames, with_fingers
 from recon.body.hands import LIMITS, RELAXED, HandModel
+from recon.body.identities import identity
+from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
 from recon.core.camera import pose_looking_at as look_at
-from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS
+from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS, ROWS
 from recon.core.layouts import LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.fitting.hands import HandView, _angle_precision, _FingerProblem
@@ -256,6 +258,21 @@ def test_files_keep_fingers(tmp_path):
     assert smplh.lengths is None
     np.savez(path, **(arrays | {"poses": arrays["poses"][:, :66]}))
     assert recon.load_motion(path).motion.hands is None
+
+
+def test_hands_grow_with_the_body():
+    """A retargeted person was 14 % taller and had the fingers of before."""
+    somebody = person(0, 2)
+    tall = identity("height=1.95", somebody.body)
+    grown = with_shape(somebody.motion, somebody.body, tall)
+    before, after = (HandModel.of(somebody.body, one.shape).lengths
+                     for one in (somebody.motion, grown))  # fmt: skip
+    assert float(after.mean()) > 1.05 * float(before.mean())
+    own = [one.hands and one.hands.lengths for one in (somebody.motion, grown)]
+    assert own[0] is not None
+    assert own[1] is not None
+    ratio = own[1] / own[0]
+    torch.testing.assert_close(ratio[ROWS], (after / before).float())
 
 
 def test_windows_and_rates_keep_fingers():
