@@ -277,29 +277,33 @@ def _typical_distance_moved(images: Images, view: int, frames: int) -> float:
     return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
 
 
-_UPSIDE_DOWN_SHARE = 0.9
-"""Share of upside-down frames from which on a view gets a warning."""
+_NEARLY_THROUGHOUT = 0.9
+"""Share of frames with a person upside down, or lying, from which on a view gets a warning."""
+_LIES = 2.0
+"""Distance of shoulders from hips across the vertical, over that along it, of who lies."""
 
 
-def upside_down_findings(images: Images) -> tuple[Finding, ...]:
-    """Return warnings for views in which shoulders are below the hips nearly throughout."""
+def turned_film_findings(images: Images) -> tuple[Finding, ...]:
+    """Warn of views with somebody upside down nearly throughout, or lying, with no floor known."""
     named = [[f"{side}_{part}" for side in ("left", "right")] for part in ("shoulder", "hip")]
     if not {*named[0], *named[1]} <= {*images.points}:
         return ()
-    shoulders, hips = (images.shown[:, :, [*map(images.points.index, some)]] for some in named)
-    # the offset from hips to shoulders, along the direction of the world's z axis in the image
-    upwards = ((shoulders.sum(2) - hips.sum(2)) * images.pose[..., :2, 2]).sum(-1)
-    said = (
+    rows = [[*map(images.points.index, some)] for some in named]
+    trunk = images.shown[:, :, rows[0]].sum(2) - images.shown[:, :, rows[1]].sum(2)
+    # the world's z axis in the image; that of cameras without a pose counts as upright
+    up = np.where([[[v.unposed]] for v in images.views], [0.0, -1.0], images.pose[..., :2, 2])
+    along, across = (trunk * up).sum(-1), (trunk * up[..., ::-1] * [1, -1]).sum(-1)
+    most = _NEARLY_THROUGHOUT * np.maximum(np.isfinite(along).sum(-1), 1)
+    beside = (np.abs(across) > _LIES * np.abs(along)).sum(-1) > most
+    beside &= [not one.ground_known for one in images.views]
+    upside = ~beside & ((along < 0).sum(-1) > most)
+    said = {
         "the person is upside down nearly throughout: if y of the keypoints counts upwards, write "
-        "the image's height less y; if the film is turned, turn it before keypoints are detected"
-    )
-    known = np.isfinite(upwards)
-    down = (upwards < 0).sum(-1) > _UPSIDE_DOWN_SHARE * np.maximum(known.sum(-1), 1)
-    return tuple(
-        Finding("mirrored", said).of_sensor(name)
-        for name, here in zip(images.names, down, strict=True)
-        if here
-    )
+        "the image's height less y; if the film is turned, turn it before detection": upside,
+        "the person lies nearly throughout; if not, turn the film by 90 degrees": beside,
+    }
+    return tuple(Finding("mirrored", words).of_sensor(name) for words, there in said.items()
+                 for name, here in zip(images.names, there, strict=True) if here)  # fmt: skip
 
 
 _MAX_MISS_M = 0.06
@@ -378,7 +382,7 @@ def screen_group(images: Images) -> tuple[Images, Findings]:
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()
     return images, found + Findings(
-        warnings=(*jumps, *disorder, *upside_down_findings(images), *scale_findings(images))
+        warnings=(*jumps, *disorder, *turned_film_findings(images), *scale_findings(images))
     )
 
 

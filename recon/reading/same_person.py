@@ -7,7 +7,7 @@ import numpy as np
 
 from recon.core.coordinates import corrected_up
 from recon.core.errors import ObservationError
-from recon.reading.tracks import Track, TrackedView, Triangulated, triangulated
+from recon.reading.tracks import CONFIDENT, Track, TrackedView, Triangulated, triangulated
 
 _CONSISTENT = 0.03
 """Median reprojection error of one person's triangulated keypoints, in body sizes."""
@@ -64,6 +64,11 @@ def person_across_views(
                     f"y of the keypoints of {names} points up, as rays meet only so: turned down"
                 )
                 return tracks, (told, *said)
+        if np.isinf(pairs.smallest_error()):
+            raise ObservationError(
+                "no two views show enough of the same keypoints at the same moments with "
+                f"confidences of {CONFIDENT:g} or more. There are {_listed_people(views)}"
+            )
         raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
             f"each other (least median error {pairs.smallest_error():.1%} of the body, at most "

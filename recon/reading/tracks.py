@@ -168,7 +168,8 @@ def _are_numbers_consistent(
     return True
 
 
-_CONFIDENT = 0.3
+CONFIDENT = 0.3
+"""Least confidence of keypoints that are triangulated."""
 _FRAMES = 25
 """Frames looked at for a pair of tracks."""
 _FEWEST_POINTS = 20
@@ -286,7 +287,7 @@ def _rays_of_track(
         rays = np.asarray(straight).reshape(rays.shape)
     return _TrackRays(
         rays=rays,
-        seen=(confidence[:, columns] >= _CONFIDENT),
+        seen=(confidence[:, columns] >= CONFIDENT),
         scale=np.sqrt(np.linalg.det(camera.camera_matrix)) / size,
         pose=pose[np.minimum(frames - view.first_frame, len(pose) - 1)],
     )

@@ -96,6 +96,16 @@ def test_somebody_upside_down_throughout_is_told_of_one_view():
     assert any("upside down" in one.message for one in screened((over,))[2])
 
 
+def test_a_film_turned_by_90_degrees_is_told():
+    """Without a pose, the world turned with the film, and nothing was said."""
+    (seen,) = filmed(1)
+    camera = seen.camera.replace(T_camera_world=torch.eye(4)[None, None])
+    alone = seen.derived(camera=camera, ground_known=False)
+    turned = alone.replace(pixels=alone.pixels.flip(-1))
+    assert not any("the person lies" in one.message for one in screened((alone,))[2])
+    assert any("the person lies" in one.message for one in screened((turned,))[2])
+
+
 LEG = ("hip", "knee", "ankle", "heel", "big_toe", "small_toe")
 
 
