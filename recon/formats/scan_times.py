@@ -95,11 +95,35 @@ class TimedScans:
     files: list[Path]
     frames: Int[np.ndarray, " files"]
     """Frames of the clock, from 0."""
-    fps: float
-    start_time: float
-    """Time of frame 0, seconds."""
     decisions: list[str]
     """What was assumed, in sentences."""
+    fps: float
+    start_time: float = 0.0
+    """Time of frame 0, seconds."""
+
+
+def clock_of_files(folder: Path, files: list[Path], fps: float | None) -> TimedScans:
+    """Number files of one frame each by the folder's times.csv, else by their names.
+
+    Args:
+        folder: that holds them.
+        files: in natural order.
+        fps: frames per second where there is no times.csv.
+
+    Raises:
+        ValueError: when there is neither a times.csv nor a frame rate, or one is implausible.
+    """
+    if (times := folder / "times.csv").exists():
+        clock = in_time_order(times, files)
+    elif fps is None:
+        raise FormatError(
+            f"{folder}: expected times.csv with the times of its files; give frames per second "
+            "with --frame-rate"
+        )
+    else:
+        clock = TimedScans(files, *frames_of_names(files), fps=fps)
+    FRAME_RATE.check(clock.fps, folder, "frame rate")
+    return clock
 
 
 def in_time_order(path: Path, files: list[Path]) -> TimedScans:
@@ -116,9 +140,8 @@ def in_time_order(path: Path, files: list[Path]) -> TimedScans:
         decisions.append(f"{path.name} has the files in another order than their names")
         files, times = [files[k] for k in order], times[order]
     frames, fps, start = frame_numbers_of_times(times, path)
-    return TimedScans(
-        files, frames, fps, start, [*decisions, *note_on_empty_frames(times, frames, fps)]
-    )
+    decisions += note_on_empty_frames(times, frames, fps)
+    return TimedScans(files, frames, decisions, fps, start)
 
 
 def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files"], bool]:

@@ -10,14 +10,14 @@ from jaxtyping import Float, Int
 
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
+from recon.core.limits import BINARY, CLOUD, POSITION
 from recon.core.units import METRES, Up, check_unit, to_z_up
 from recon.formats.observations import PointsFile
 from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
-from recon.formats.scan_times import frames_of_names, in_time_order
+from recon.formats.scan_times import clock_of_files
 from recon.formats.texts import decoded_text, parsed_numbers, read_bytes, with_decimal_points
 
 _BYTES = {
@@ -175,21 +175,8 @@ def read_scans(
     """
     folder = Path(folder)
     check_unit(unit)
-    paths = scan_paths(folder)
-    times = folder / "times.csv"
-    decisions: list[str] = []
-    if times.exists():
-        clock = in_time_order(times, paths)
-        paths, frames, fps = clock.files, clock.frames, clock.fps
-        start, decisions = clock.start_time, clock.decisions
-    elif fps is None:
-        raise FormatError(
-            f"{folder}: expected times.csv with the times of its files; give frames per second "
-            "with --frame-rate"
-        )
-    else:
-        (frames, decisions), start = frames_of_names(paths), 0.0
-    FRAME_RATE.check(fps, folder, "frame rate")
+    clock = clock_of_files(folder, scan_paths(folder), fps)
+    paths, decisions = clock.files, clock.decisions
     clouds = [read_cloud(path) for path in paths]
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
@@ -208,9 +195,9 @@ def read_scans(
     kept = [thinned_cloud(cloud * metres, points, outliers, generator) for cloud in clouds]
     return PointsFile(
         points=np.concatenate(kept) @ to_z_up(up).T,
-        frame=np.repeat(frames, [len(cloud) for cloud in kept]),
-        fps=fps,
-        start_time=start,
+        frame=np.repeat(clock.frames, [len(cloud) for cloud in kept]),
+        fps=clock.fps,
+        start_time=clock.start_time,
         decisions=tuple(decisions),
     )
 

@@ -1,5 +1,7 @@
 """Folders of clouds and of depth images: read, thinned, and refused when unclear."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -185,6 +187,26 @@ def test_depth_images_become_points(images):
         folder / "depth", placed, fps=30.0, masks=folder / "mask", points=10_000, outliers=None
     )
     assert np.allclose(world.points, file.points - [1.0, 2.0, 3.0])
+
+
+def test_depth_images_may_lack_frames(images):
+    """Files were consecutive frames whatever their names, so that time was squeezed at gaps."""
+    folder, camera = images
+    depth, poses = folder / "depth", np.tile(np.eye(4), (3, 1, 1))
+    for kind in ("depth", "mask"):
+        shutil.copy(folder / kind / "2.png", folder / kind / "5.png")
+    poses[2, 2, 3] = 1.0
+    moving = CameraArrays(camera.camera_matrix, (60, 40), T_camera_world=poses)
+    file = read_depth_images(depth, moving, fps=30.0, masks=folder / "mask", outliers=None)
+    assert np.unique(file.frame).tolist() == [0, 1, 4]
+    assert "2 frames are missing" in file.decisions[0]
+    assert np.allclose(file.points[file.frame == 4, 2], 1.0)
+    assert file.camera.T_camera_world[:, 2, 3].tolist() == [0, 0, 0, 0, 1]
+    with pytest.raises(ValueError, match="--frame-rate"):
+        read_depth_images(depth, camera)
+    (depth / "times.csv").write_text("1.png,2.5\n2.png,3.0\n5.png,2.0\n")
+    file = read_depth_images(depth, camera)
+    assert (file.fps, file.start_time, file.frame.max()) == (2.0, 2.0, 2)
 
 
 def test_the_largest_number_of_depth_images_is_no_measurement(images):
