@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
-from recon.formats.json_files import frame_numbers
+from recon.formats.json_files import frame_numbers, last_numbers
 from recon.formats.texts import decoded_text, read_bytes
 
 MAX_OFF_FRAMES = 0.25
@@ -68,18 +68,18 @@ def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[
 
     Times are ticks, seconds with decimals, or seconds_nanoseconds. Files whose names do not number
     them, in rising order, are consecutive.
+
+    Raises:
+        ValueError: when several files have the same number, as those of several sensors do.
     """
     stems = [file.stem for file in files]
     parts = [m for one in stems if (m := re.fullmatch(r"(\d{9,19})(?:([._])(\d{1,9}))?", one))]
     times = [float(f"{m[1]}.{(m[3] or '').zfill(9 if m[2] == '_' else 1)}") for m in parts]
-    try:
-        found, said = (
-            (frames_of_even_times(np.array(times)), ())
-            if len(times) == len(files)
-            else consecutive_numbers(frame_numbers(stems, files[0].parent.name))
-        )
-    except FormatError:
-        found, said = None, ()
+    found, said = None, ()
+    if len(times) == len(files):
+        found = frames_of_even_times(np.array(times))
+    elif None not in (numbers := set(last_numbers(stems))) and len(numbers) > 1:
+        found, said = consecutive_numbers(frame_numbers(stems, str(files[0].parent)))
     if found is None or (np.diff(found) < 1).any() or not fits_memory(int(found[-1]), len(files)):
         said = ("the names of the files do not number frames: taken as consecutive ones",)
         return np.arange(len(files)), list(said)

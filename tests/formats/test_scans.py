@@ -88,6 +88,16 @@ def test_numbers_and_times_in_names_tell_dropped_clouds(names, frames, said, tmp
     assert [part in one for part, one in zip(said, told, strict=True)] == [True] * len(said)
 
 
+@pytest.mark.parametrize("name", ["cam{1}_{0:04d}", "{0:04d}_cam{1}", "left{1}.{0}"])
+def test_clouds_of_several_sensors_are_no_sequence(name, tmp_path):
+    """They were read in turns as one sequence at half speed."""
+    for frame in range(3):
+        for sensor in range(2):
+            write_ply(tmp_path / f"{name.format(frame, sensor)}.ply", person(frame))
+    with pytest.raises(ValueError, match=r"are both frame .*a folder of their own"):
+        read_scans(tmp_path, fps=30.0)
+
+
 def test_times_leave_dropped_frames_empty(tmp_path):
     for frame in range(4):
         write_ply(tmp_path / f"{frame}.ply", person(frame))
