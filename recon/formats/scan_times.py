@@ -29,6 +29,30 @@ _EMPTY, _SHORT = 8, 20_000
 """Most frames of a clock per frame with data, and number of frames that is always allowed: empty
 frames take memory, too."""
 
+_USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
+"""Rates of recordings, Hz, and what times that are no seconds count in a second."""
+_SLOWEST = 0.125
+"""Rate of scans, Hz, from which on they show a motion: at it, a person walks 10 m between two."""
+_PARTS = {"": 1.0, "m": 1e3, "milli": 1e3, "u": 1e6, "micro": 1e6, "n": 1e9, "nano": 1e9}
+_UNIT = re.compile(r"(?:^|[^a-z])(milli|micro|nano|[mun]|)s(?:ec(?:ond)?s?)?[)\]]?$")
+"""Matches a unit of time at the end of a heading: time_ms, seconds, t [us]."""
+
+
+def ticks_per_second(rate: float, slowest: float = _USUAL_RATES[0]) -> float:
+    """Return how many units of time are a second: 1, or 1e3, 1e6 or 1e9 where 1 is implausible.
+
+    Args:
+        rate: times per unit of time.
+        slowest: plausible number of times a second.
+
+    Returns:
+        The first with which the rate is usual; 0 if it is with none.
+    """
+    if rate >= slowest:
+        return 1.0
+    low, high = _USUAL_RATES
+    return next((ticks for ticks in _TICKS if low <= rate * ticks <= high), 0.0)
+
 
 def frames_of_even_times(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
     """Convert times to frame numbers, one per median step; None if a step is no multiple of it.
@@ -132,9 +156,8 @@ def in_time_order(path: Path, files: list[Path]) -> TimedScans:
     Raises:
         ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
     """
-    times, named = read_times(path, files)
+    times, named, decisions = read_times(path, files)
     TIME.check(times, path, "time")
-    decisions: list[str] = []
     order = np.argsort(times, kind="stable")
     if named and not np.array_equal(order, np.arange(len(files))):
         decisions.append(f"{path.name} has the files in another order than their names")
@@ -144,28 +167,53 @@ def in_time_order(path: Path, files: list[Path]) -> TimedScans:
     return TimedScans(files, frames, decisions, fps, start)
 
 
-def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files"], bool]:
-    """Read the time of every file, seconds, and whether the lines name files.
+def read_times(
+    path: Path, files: list[Path]
+) -> tuple[Float[np.ndarray, " files"], bool, list[str]]:
+    """Read the time of every file, seconds, whether the lines name files, and a note on the unit.
+
+    A heading may end in the unit of the times (time_ms); else they are seconds, or the finer unit
+    in which they are of a usual rate where seconds would be too slow to show a motion.
 
     Raises:
-        ValueError: when a file has no time or the lines are of another kind.
+        ValueError: when a file has no time, the lines are of another kind, or the unit is unknown.
     """
     rows = [
         re.split(r"[,;\s]+", line.strip()) for line in decoded_text(read_bytes(path)).splitlines()
     ]
     rows = [row for row in rows if row != [""]]
-    if rows and not _is_number(rows[0][-1]):
-        rows = rows[1:]
+    heading = rows.pop(0)[-1].lower() if rows and not _is_number(rows[0][-1]) else ""
     if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
         raise FormatError(f"{path}: expected a line per file, its time in s, or its name and time")
-    if any(len(row) == 2 for row in rows):
-        named = {Path(row[0]).name: float(row[-1]) for row in rows}
-        if missing := [file.name for file in files if file.name not in named]:
+    if named := any(len(row) == 2 for row in rows):
+        time_of = {Path(row[0]).name: float(row[-1]) for row in rows}
+        if missing := [file.name for file in files if file.name not in time_of]:
             raise FormatError(f"{path}: has no time for {', '.join(missing[:5])}")
-        return np.array([named[file.name] for file in files]), True
-    if len(rows) != len(files):
+        times = np.array([time_of[file.name] for file in files])
+    elif len(rows) != len(files):
         raise FormatError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
-    return np.array([float(row[0]) for row in rows]), False
+    else:
+        times = np.array([float(row[0]) for row in rows])
+    ticks = _ticks_of_times(np.sort(times), heading, path)
+    said = f"{path.name} counts {ticks:g} in a second, by its heading or the size of its steps"
+    return times / ticks, named, [said] if ticks != 1 else []
+
+
+def _ticks_of_times(times: Float[np.ndarray, " files"], heading: str, path: Path) -> float:
+    """Return how many units of rising times are a second, by the heading of their column or size.
+
+    Raises:
+        ValueError: when the heading names no unit and the times are too far apart for any.
+    """
+    if (unit := _UNIT.search(heading)) is not None:
+        return _PARTS[unit[1]]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if not (ticks := ticks_per_second(1 / max(step, 1e-300), _SLOWEST)):
+        raise FormatError(
+            f"{path}: half of the times are {step:g} or more apart: as seconds, they show no "
+            "motion; expected seconds, or the unit in its heading: file,time_ms"
+        )
+    return ticks
 
 
 def frame_numbers_of_times(

@@ -153,10 +153,11 @@ def read_scans(
 ) -> PointsFile:
     """Read a folder of one cloud per frame, in metres, z up; `scan_2` comes before `scan_10`.
 
-    A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
-    time) gives the clock; dropped frames stay empty. Times of named files may be in any order, and
-    unevenly spaced: they are then put on a clock with a frame near each. Without that file,
-    numbers or times in the names tell which frames were dropped.
+    A file `times.csv` beside them (a line per file: its time in seconds or in the unit of a
+    heading such as time_ms, or its name and its time) gives the clock; dropped frames stay empty.
+    Times of named files may be in any order, and unevenly spaced: they are then put on a clock
+    with a frame near each. Without that file, numbers or times in the names tell which frames were
+    dropped.
 
     Args:
         folder: with .ply, .pcd or .obj files.

@@ -120,6 +120,29 @@ def test_times_leave_dropped_frames_empty(tmp_path):
             read_scans(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("heading", "step", "fps"),
+    [
+        ("file,time_ms", 100 / 3, 30.0), ("file time [us]", 2e5, 5.0), ("file,time", 33.333, 30.0),
+        ("file,timestamp (ms)", 5.0, 200.0), ("file,seconds", 20.0, 0.05), ("file,time", 5.0, 0.2),
+    ],
+)  # fmt: skip
+def test_times_of_scans_may_count_parts_of_seconds(heading, step, fps, tmp_path):
+    """Milliseconds were read as seconds: clocks of 0.01 Hz, which took minutes to fit."""
+    lines = [heading]
+    for frame in range(4):
+        write_ply(tmp_path / f"{frame}.ply", person(frame))
+        lines.append(f"{frame}.ply {step * frame:.3f}")
+    (tmp_path / "times.csv").write_text("\n".join(lines))
+    file = read_scans(tmp_path)
+    assert file.fps == pytest.approx(fps, rel=1e-4)
+    assert np.unique(file.frame).tolist() == [0, 1, 2, 3]
+    assert any("in a second" in line for line in file.decisions) == (step * fps > 1.1)
+    (tmp_path / "times.csv").write_text("0\n900\n1800\n2700\n")
+    with pytest.raises(ValueError, match="expected seconds, or the unit"):
+        read_scans(tmp_path)
+
+
 def test_scans_at_any_times_get_a_clock_with_a_frame_near_each(tmp_path):
     for frame, name in enumerate("acbd"):
         write_ply(tmp_path / f"{name}.ply", person(frame))
