@@ -36,22 +36,21 @@ _SLOWEST = 0.125
 _PARTS = {"": 1.0, "m": 1e3, "milli": 1e3, "u": 1e6, "micro": 1e6, "n": 1e9, "nano": 1e9}
 _UNIT = re.compile(r"(?:^|[^a-z])(milli|micro|nano|[mun]|)s(?:ec(?:ond)?s?)?[)\]]?$")
 """Matches a unit of time at the end of a heading: time_ms, seconds, t [us]."""
+_SECONDS = re.compile(r"(\d{1,10})(\.|(?<=\d{9})_)(\d{1,9})")
+"""Matches names with a time: 0.667, or 1617012345_900000000 of seconds and nanoseconds."""
+_OFF_RATE = 0.05
+"""Part by which the frame rate of times in names may be off the one that is given."""
 
 
 def ticks_per_second(rate: float, slowest: float = _USUAL_RATES[0]) -> float:
-    """Return how many units of time are a second: 1, or 1e3, 1e6 or 1e9 where 1 is implausible.
+    """Return how many units of time are a second, by how many frames there are in one unit.
 
-    Args:
-        rate: times per unit of time.
-        slowest: plausible number of times a second.
-
-    Returns:
-        The first with which the rate is usual; 0 if it is with none.
+    That is 1 for `slowest` or more frames; else 1e3, 1e6 or 1e9, the first with which the frame
+    rate is usual; 0 if it is with none.
     """
-    if rate >= slowest:
-        return 1.0
     low, high = _USUAL_RATES
-    return next((ticks for ticks in _TICKS if low <= rate * ticks <= high), 0.0)
+    usual = (ticks for ticks in _TICKS if low <= rate * ticks <= high)
+    return 1.0 if rate >= slowest else next(usual, 0.0)
 
 
 def frames_of_even_times(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
@@ -87,29 +86,73 @@ def consecutive_numbers(
     return (ticks - ticks[:1]) // step, (note,) if step > 1 else ()
 
 
-def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[str]]:
-    """Return the frame of each file by the number or time in its name, and notes about them.
+def frames_of_names(
+    files: list[Path], fps: float
+) -> tuple[list[Path], Int[np.ndarray, " files"], list[str]]:
+    """Return files in the order of time, the frame of each by its name, and notes about them.
 
-    Times are ticks, seconds with decimals, or seconds_nanoseconds. Files whose names do not number
-    them, in rising order, are consecutive.
+    Names have frame numbers, or times at this frame rate: seconds with decimals and nothing else,
+    seconds_nanoseconds, or milli-, micro- or nanoseconds. Others, not rising, are consecutive.
 
     Raises:
-        ValueError: when several files have the same number, as those of several sensors do.
+        ValueError: when files have the same number, or times of another frame rate.
     """
-    stems = [file.stem for file in files]
-    parts = [m for one in stems if (m := re.fullmatch(r"(\d{9,19})(?:([._])(\d{1,9}))?", one))]
-    times = [float(f"{m[1]}.{(m[3] or '').zfill(9 if m[2] == '_' else 1)}") for m in parts]
+    stems, folder = [file.stem for file in files], files[0].parent
+    parts = [m for one in stems if (m := _SECONDS.fullmatch(one))]
+    times = np.array([float(f"{m[1]}.{m[3].zfill(9 if m[2] == '_' else 1)}") for m in parts])
     found, said = None, ()
-    if len(times) == len(files):
-        found = frames_of_even_times(np.array(times))
-    elif None not in (numbers := set(last_numbers(stems))) and len(numbers) > 1:
-        found, said = consecutive_numbers(frame_numbers(stems, str(files[0].parent)))
+    if len(times) == len(files) > 1:
+        order = np.argsort(times, kind="stable")
+        steps = np.diff(times[order])
+        if (found := _frames_of_steps(steps * fps)) is not None:
+            files = [files[k] for k in order]
+        elif len({m[1] for m in parts}) > 1:
+            raise FormatError(
+                f"{folder}: by names, files are {np.median(steps):.4g} s apart, which does not "
+                f"fit {fps:g} frames per second: give their rate, or times in times.csv"
+            )
+    if found is None and None not in (numbers := set(last_numbers(stems))) and len(numbers) > 1:
+        found, said = _frames_of_numbers(np.array(frame_numbers(stems, str(folder))), fps, folder)
     if found is None or (np.diff(found) < 1).any() or not fits_memory(int(found[-1]), len(files)):
         said = ("the names of the files do not number frames: taken as consecutive ones",)
-        return np.arange(len(files)), list(said)
+        return files, np.arange(len(files)), list(said)
     missing = int(found[-1]) + 1 - len(files)
     told = f"{missing} frames are missing between others, by the files' names: left empty"
-    return found, [*said, told] if missing else [*said]
+    return files, found, [*said, told] if missing else [*said]
+
+
+def _frames_of_numbers(
+    numbers: Int[np.ndarray, " files"], fps: float, folder: Path
+) -> tuple[Int[np.ndarray, " files"], tuple[str, ...]]:
+    """Convert numbers in names to frames: they count frames, or ticks of a known clock.
+
+    Raises:
+        ValueError: when they rise evenly as a clock's do, but by none that is known.
+    """
+    found, said = consecutive_numbers(numbers)
+    steps = np.diff(numbers)
+    if np.median(np.diff(found)) <= 1:
+        return found, said
+    for ticks in (*_TICKS, 1e7):  # Windows counts 100 ns
+        clock = _frames_of_steps(steps * fps / ticks)
+        if clock is not None and np.median(np.diff(clock)) < 2:
+            return clock, (f"the numbers in names are taken as times, {ticks:g} in a second",)
+    if np.median(np.diff(found)) >= _EMPTY and frames_of_even_times(numbers * 1.0) is not None:
+        raise FormatError(
+            f"{folder}: the numbers in names rise by about {np.median(steps):g}, as times do, but "
+            f"not by milli-, micro- or nanoseconds at {fps:g} frames per second: give the rate of "
+            "the files, or their times in times.csv"
+        )
+    return found, said
+
+
+def _frames_of_steps(steps: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " files"] | None:
+    """Add up the steps of a clock, in frames; None if some are not whole, or the rate is wrong."""
+    whole = np.rint(steps)
+    near = np.abs(steps - whole) <= np.maximum(MAX_OFF_FRAMES, _OFF_RATE * whole)
+    rate_off = abs(steps.sum() - whole.sum()) - max(2 * MAX_OFF_FRAMES, _OFF_RATE * whole.sum())
+    fits = near.all() and (whole >= 1).all() and rate_off <= 0
+    return np.concatenate(([0], np.cumsum(whole))).astype(np.int64) if fits else None
 
 
 @dataclass(frozen=True)
@@ -127,12 +170,7 @@ class TimedScans:
 
 
 def clock_of_files(folder: Path, files: list[Path], fps: float | None) -> TimedScans:
-    """Number files of one frame each by the folder's times.csv, else by their names.
-
-    Args:
-        folder: that holds them.
-        files: in natural order.
-        fps: frames per second where there is no times.csv.
+    """Number files of one frame each by the folder's times.csv, else by names at a frame rate.
 
     Raises:
         ValueError: when there is neither a times.csv nor a frame rate, or one is implausible.
@@ -145,7 +183,7 @@ def clock_of_files(folder: Path, files: list[Path], fps: float | None) -> TimedS
             "with --frame-rate"
         )
     else:
-        clock = TimedScans(files, *frames_of_names(files), fps=fps)
+        clock = TimedScans(*frames_of_names(files, fps), fps=fps)
     FRAME_RATE.check(clock.fps, folder, "frame rate")
     return clock
 

@@ -75,6 +75,11 @@ def test_folders_count_naturally_and_units_are_found(tmp_path):
         (("1617012345.8", "1617012345.9", "1617012346.2", "1617012346.3"), [0, 1, 4, 5],
          ["2 frames are missing"]),
         (("1617012345_900000000", "1617012346_8", "1617012346_100000000"), [0, 1, 2], []),
+        (("0.9", "1.0", "1.103", "2.0"), [0, 1, 2, 11], ["8 frames are missing"]),
+        (("t_99ms", "t_200ms", "t_301ms", "t_701ms"), [0, 1, 2, 6],
+         ["3 frames are missing"]),
+        (("1760000000000000", "1760000000099980", "1760000000300020"), [0, 1, 3],
+         ["1 frames are missing"]),
         (("a0b1", "a0c1", "b0a1"), [0, 1, 2], ["do not number frames"]),
     ],
 )  # fmt: skip
@@ -96,6 +101,15 @@ def test_clouds_of_several_sensors_are_no_sequence(name, tmp_path):
             write_ply(tmp_path / f"{name.format(frame, sensor)}.ply", person(frame))
     with pytest.raises(ValueError, match=r"are both frame .*a folder of their own"):
         read_scans(tmp_path, fps=30.0)
+
+
+@pytest.mark.parametrize("names", [("0.9", "1.0", "1.1"), ("0", "33", "67", "100")])
+def test_times_in_names_of_another_rate_are_refused(names, tmp_path):
+    """Milliseconds were frame numbers: 97 % of the frames were empty."""
+    for name in names:
+        write_ply(tmp_path / f"{name}.ply", person(0))
+    with pytest.raises(ValueError, match=r"at 15 frames per|fit 15 frames per"):
+        read_scans(tmp_path, fps=15.0)
 
 
 def test_times_leave_dropped_frames_empty(tmp_path):
