@@ -28,7 +28,6 @@ _LONGEST = 60.0
 _EMPTY, _SHORT = 8, 20_000
 """Most frames of a clock per frame with data, and number of frames that is always allowed: empty
 frames take memory, too."""
-
 _USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
 """Rates of recordings, Hz, and what times that are no seconds count in a second."""
 _SLOWEST = 0.125
@@ -176,16 +175,14 @@ def clock_of_files(folder: Path, files: list[Path], fps: float | None) -> TimedS
         ValueError: when there is neither a times.csv nor a frame rate, or one is implausible.
     """
     if (times := folder / "times.csv").exists():
-        clock = in_time_order(times, files)
-    elif fps is None:
+        return in_time_order(times, files)
+    if fps is None:
         raise FormatError(
             f"{folder}: expected times.csv with the times of its files; give frames per second "
             "with --frame-rate"
         )
-    else:
-        clock = TimedScans(*frames_of_names(files, fps), fps=fps)
-    FRAME_RATE.check(clock.fps, folder, "frame rate")
-    return clock
+    FRAME_RATE.check(fps, folder, "frame rate")
+    return TimedScans(*frames_of_names(files, fps), fps=fps)
 
 
 def in_time_order(path: Path, files: list[Path]) -> TimedScans:
