@@ -170,8 +170,8 @@ def _read_points(
 ) -> PointsFile:
     """Read one depth camera's point clouds; in its own frame if the file has no pose."""
     if path.is_dir() and any(path.glob("*.png")):
-        if camera is None or frame_rate is None:
-            raise ObservationError(f"{path}: depth images need --camera and --frame-rate")
+        if camera is None:
+            raise ObservationError(f"{path}: depth images need --camera")
         lenses = load_cameras(camera).cameras
         lens = next(iter(lenses.values())) if len(lenses) == 1 else lenses.get(path.name)
         if lens is None:

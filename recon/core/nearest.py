@@ -90,7 +90,8 @@ def nearest_alike(
     allowed = allowed | ~allowed.any(-1, keepdim=True)
     found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
     moments = present.any(-1).nonzero()[:, 0]
-    for batch in moments.split(_AT_ONCE):
+    for first in range(0, len(moments), _AT_ONCE):  # torch would split none into one empty batch
+        batch = moments[first : first + _AT_ONCE]
         usable = allowed[batch]
         most = int(usable.sum(-1).max())
         # indices of the allowed points, then those of all others, both in ascending order

@@ -1,6 +1,7 @@
 """Reads folders of 16-bit depth images, back-projected to point clouds."""
 
 import struct
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -10,9 +11,10 @@ from jaxtyping import Bool, Float, UInt16
 
 from recon.core.camera import Camera
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
+from recon.core.limits import BINARY, DEPTH_SCALE, IMAGE
 from recon.formats.observations import CameraArrays, PointsFile
 from recon.formats.opening import existing_file, files_of
+from recon.formats.scan_times import clock_of_files
 from recon.formats.scans import POINTS, naturally_sorted, thinned_cloud
 
 _PNG_HEADER = struct.Struct(">8s4x4sIIBB")
@@ -72,7 +74,7 @@ def read_depth_images(
     folder: str | Path,
     camera: CameraArrays,
     *,
-    fps: float,
+    fps: float | None = None,
     depth_scale: float = 0.001,
     masks: str | Path | None = None,
     points: int = POINTS,
@@ -85,9 +87,10 @@ def read_depth_images(
     65535 have no depth.
 
     Args:
-        folder: of 16-bit .png files, one per frame, in natural order.
-        camera: of the depth images.
-        fps: frames per second.
+        folder: of 16-bit .png files, one per frame. Its times.csv, or the numbers or times in
+            their names, give the clock as in `read_scans`: dropped frames stay empty.
+        camera: of the depth images, with no pose, one, or one for every image.
+        fps: frames per second where there is no times.csv.
         depth_scale: metres per unit of the images; 0.001 where they hold millimetres.
         masks: folder of images with the same names, or in the same order, nonzero on the person.
         points: most points kept of a frame, drawn at random.
@@ -100,9 +103,10 @@ def read_depth_images(
             size than the camera's, or nobody can be seen at such depths.
     """
     folder = Path(folder)
-    paths = _png_files(folder)
-    mask_paths = None if masks is None else _masks_of_images(paths, Path(masks))
-    FRAME_RATE.check(fps, folder, "frame rate")
+    named = _png_files(folder)
+    mask_of = {} if masks is None else _masks_of_images(named, Path(masks))
+    clock = clock_of_files(folder, named, fps)
+    paths = clock.files
     DEPTH_SCALE.check(depth_scale, folder, "--depth-scale")
     generator = np.random.default_rng(seed)
     poses, lens = camera.T_camera_world, _camera_at_origin(camera)
@@ -118,12 +122,12 @@ def read_depth_images(
         saturated.append(bool((image == _SATURATED).any()))
         depth = np.where(image == _SATURATED, 0, image) * depth_scale
         seen = (depth > 0) & ~edge_mask(depth)
-        if mask_paths is None:
+        if (mask_path := mask_of.get(paths[k])) is None:
             return depth, seen
-        mask = read_mask(mask_paths[k])
+        mask = read_mask(mask_path)
         if mask.shape != depth.shape:
             raise FormatError(
-                f"{mask_paths[k]}: expected a mask of image size {depth.shape}, got {mask.shape}"
+                f"{mask_path}: expected a mask of image size {depth.shape}, got {mask.shape}"
             )
         return depth, seen & mask
 
@@ -149,12 +153,17 @@ def read_depth_images(
             cloud = (cloud - T[:3, 3]) @ T[:3, :3]
         clouds.append(cloud)
     said = f"{_SATURATED}, the largest number of 16 bits, is taken as no measurement"
+    if poses is not None and len(poses) > 1:
+        # an empty frame shows nothing: that of the image before stands for its pose
+        image = np.searchsorted(clock.frames, np.arange(clock.frames[-1] + 1), "right") - 1
+        camera = replace(camera, T_camera_world=poses[image])
     return PointsFile(
         points=np.concatenate(clouds),
-        frame=np.repeat(np.arange(len(paths)), [len(cloud) for cloud in clouds]),
-        fps=fps,
+        frame=np.repeat(clock.frames, [len(cloud) for cloud in clouds]),
+        fps=clock.fps,
+        start_time=clock.start_time,
         camera=camera,
-        decisions=(said,) * any(saturated),
+        decisions=(*clock.decisions, *(said,) * any(saturated)),
     )
 
 
@@ -203,14 +212,14 @@ def _png_files(folder: Path) -> list[Path]:
     return paths
 
 
-def _masks_of_images(paths: list[Path], masks: Path) -> list[Path]:
+def _masks_of_images(paths: list[Path], masks: Path) -> dict[Path, Path]:
     found = _png_files(masks)
     named = {path.name: path for path in found}
     if all(path.name in named for path in paths):
-        return [named[path.name] for path in paths]
+        return {path: named[path.name] for path in paths}
     if len(found) != len(paths):
         raise FormatError(f"{masks}: expected {len(paths)} masks, one per image, got {len(found)}")
-    return found
+    return dict(zip(paths, found, strict=True))
 
 
 def _read_depth_image(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "height width"]:

@@ -105,23 +105,29 @@ def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
     Raises:
         ValueError: when a name has no number, or two have the same.
     """
-    ending = _common_ending(stems)
-    cut = 0 if len(stems) == 1 else len(ending.lstrip("0123456789"))
-    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_SEARCHED:]) for stem in stems]
+    found = last_numbers(stems)
     if without := [stem for stem, number in zip(stems, found, strict=True) if number is None]:
         raise FormatError(
             f"{name}: expected a frame number in every file name, not {without[0]!r}"
         )
-    numbers = [int(number[1]) for number in found if number is not None]
+    numbers = [number for number in found if number is not None]
     FRAME_NUMBER.check(max(numbers), name)
     if len(set(numbers)) < len(numbers):
         twice = Counter(numbers).most_common(1)[0][0]
         same = [stem for stem, number in zip(stems, numbers, strict=True) if number == twice][:2]
         raise FormatError(
             f"{name}: expected one file per frame, but {' and '.join(same)} are both frame "
-            f"{twice}; is this one camera?"
+            f"{twice}; give each camera's files in a folder of their own (`recon register` finds "
+            "where depth cameras stand)"
         )
     return numbers
+
+
+def last_numbers(stems: Sequence[str]) -> list[int | None]:
+    """Return the last number in each file's name, before an ending that all names share."""
+    cut = 0 if len(stems) == 1 else len(_common_ending(stems).lstrip("0123456789"))
+    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_SEARCHED:]) for stem in stems]
+    return [None if number is None else int(number[1]) for number in found]
 
 
 def _common_ending(stems: Sequence[str]) -> str:

@@ -363,7 +363,11 @@ def refuse_unsupported(path: Path, verb: str) -> None:
         raise FormatError(f"{path}: {found.how_to_read()}")
     one_file = not found.folder and "/" not in found.endings
     if path.is_dir() and one_file and not (verb == "fit" and films_at(path)):
-        raise FormatError(f"{path} is a folder: give one of its files; {found.how_to_read()}")
+        said = f"{path} is a folder: give one of its files; {found.how_to_read()}"
+        for one in sorted(path.glob("*.npy"))[:1]:
+            head = _first_bytes(one, ".npy")[10:250].partition(b"\n")[0].decode("latin-1")
+            said += f"; in a folder of scans each has numbers (points, 3), but {one.name} {head}"
+        raise FormatError(said)
 
 
 def is_film(path: Path) -> bool:

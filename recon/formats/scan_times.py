@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
-from recon.formats.json_files import frame_numbers
+from recon.formats.json_files import frame_numbers, last_numbers
 from recon.formats.texts import decoded_text, read_bytes
 
 MAX_OFF_FRAMES = 0.25
@@ -28,6 +28,28 @@ _LONGEST = 60.0
 _EMPTY, _SHORT = 8, 20_000
 """Most frames of a clock per frame with data, and number of frames that is always allowed: empty
 frames take memory, too."""
+_USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
+"""Rates of recordings, Hz, and what times that are no seconds count in a second."""
+_SLOWEST = 0.125
+"""Rate of scans, Hz, from which on they show a motion: at it, a person walks 10 m between two."""
+_PARTS = {"": 1.0, "m": 1e3, "milli": 1e3, "u": 1e6, "micro": 1e6, "n": 1e9, "nano": 1e9}
+_UNIT = re.compile(r"(?:^|[^a-z])(milli|micro|nano|[mun]|)s(?:ec(?:ond)?s?)?[)\]]?$")
+"""Matches a unit of time at the end of a heading: time_ms, seconds, t [us]."""
+_SECONDS = re.compile(r"(\d{1,10})(\.|(?<=\d{9})_)(\d{1,9})")
+"""Matches names with a time: 0.667, or 1617012345_900000000 of seconds and nanoseconds."""
+_OFF_RATE = 0.05
+"""Part by which the frame rate of times in names may be off the one that is given."""
+
+
+def ticks_per_second(rate: float, slowest: float = _USUAL_RATES[0]) -> float:
+    """Return how many units of time are a second, by how many frames there are in one unit.
+
+    That is 1 for `slowest` or more frames; else 1e3, 1e6 or 1e9, the first with which the frame
+    rate is usual; 0 if it is with none.
+    """
+    low, high = _USUAL_RATES
+    usual = (ticks for ticks in _TICKS if low <= rate * ticks <= high)
+    return 1.0 if rate >= slowest else next(usual, 0.0)
 
 
 def frames_of_even_times(times: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"] | None:
@@ -63,29 +85,73 @@ def consecutive_numbers(
     return (ticks - ticks[:1]) // step, (note,) if step > 1 else ()
 
 
-def frames_of_names(files: list[Path]) -> tuple[Int[np.ndarray, " files"], list[str]]:
-    """Return the frame of each file by the number or time in its name, and notes about them.
+def frames_of_names(
+    files: list[Path], fps: float
+) -> tuple[list[Path], Int[np.ndarray, " files"], list[str]]:
+    """Return files in the order of time, the frame of each by its name, and notes about them.
 
-    Times are ticks, seconds with decimals, or seconds_nanoseconds. Files whose names do not number
-    them, in rising order, are consecutive.
+    Names have frame numbers, or times at this frame rate: seconds with decimals and nothing else,
+    seconds_nanoseconds, or milli-, micro- or nanoseconds. Others, not rising, are consecutive.
+
+    Raises:
+        ValueError: when files have the same number, or times of another frame rate.
     """
-    stems = [file.stem for file in files]
-    parts = [m for one in stems if (m := re.fullmatch(r"(\d{9,19})(?:([._])(\d{1,9}))?", one))]
-    times = [float(f"{m[1]}.{(m[3] or '').zfill(9 if m[2] == '_' else 1)}") for m in parts]
-    try:
-        found, said = (
-            (frames_of_even_times(np.array(times)), ())
-            if len(times) == len(files)
-            else consecutive_numbers(frame_numbers(stems, files[0].parent.name))
-        )
-    except FormatError:
-        found, said = None, ()
+    stems, folder = [file.stem for file in files], files[0].parent
+    parts = [m for one in stems if (m := _SECONDS.fullmatch(one))]
+    times = np.array([float(f"{m[1]}.{m[3].zfill(9 if m[2] == '_' else 1)}") for m in parts])
+    found, said = None, ()
+    if len(times) == len(files) > 1:
+        order = np.argsort(times, kind="stable")
+        steps = np.diff(times[order])
+        if (found := _frames_of_steps(steps * fps)) is not None:
+            files = [files[k] for k in order]
+        elif len({m[1] for m in parts}) > 1:
+            raise FormatError(
+                f"{folder}: by names, files are {np.median(steps):.4g} s apart, which does not "
+                f"fit {fps:g} frames per second: give their rate, or times in times.csv"
+            )
+    if found is None and None not in (numbers := set(last_numbers(stems))) and len(numbers) > 1:
+        found, said = _frames_of_numbers(np.array(frame_numbers(stems, str(folder))), fps, folder)
     if found is None or (np.diff(found) < 1).any() or not fits_memory(int(found[-1]), len(files)):
         said = ("the names of the files do not number frames: taken as consecutive ones",)
-        return np.arange(len(files)), list(said)
+        return files, np.arange(len(files)), list(said)
     missing = int(found[-1]) + 1 - len(files)
     told = f"{missing} frames are missing between others, by the files' names: left empty"
-    return found, [*said, told] if missing else [*said]
+    return files, found, [*said, told] if missing else [*said]
+
+
+def _frames_of_numbers(
+    numbers: Int[np.ndarray, " files"], fps: float, folder: Path
+) -> tuple[Int[np.ndarray, " files"], tuple[str, ...]]:
+    """Convert numbers in names to frames: they count frames, or ticks of a known clock.
+
+    Raises:
+        ValueError: when they rise evenly as a clock's do, but by none that is known.
+    """
+    found, said = consecutive_numbers(numbers)
+    steps = np.diff(numbers)
+    if np.median(np.diff(found)) <= 1:
+        return found, said
+    for ticks in (*_TICKS, 1e7):  # Windows counts 100 ns
+        clock = _frames_of_steps(steps * fps / ticks)
+        if clock is not None and np.median(np.diff(clock)) < 2:
+            return clock, (f"the numbers in names are taken as times, {ticks:g} in a second",)
+    if np.median(np.diff(found)) >= _EMPTY and frames_of_even_times(numbers * 1.0) is not None:
+        raise FormatError(
+            f"{folder}: the numbers in names rise by about {np.median(steps):g}, as times do, but "
+            f"not by milli-, micro- or nanoseconds at {fps:g} frames per second: give the rate of "
+            "the files, or their times in times.csv"
+        )
+    return found, said
+
+
+def _frames_of_steps(steps: Float[np.ndarray, " steps"]) -> Int[np.ndarray, " files"] | None:
+    """Add up the steps of a clock, in frames; None if some are not whole, or the rate is wrong."""
+    whole = np.rint(steps)
+    near = np.abs(steps - whole) <= np.maximum(MAX_OFF_FRAMES, _OFF_RATE * whole)
+    rate_off = abs(steps.sum() - whole.sum()) - max(2 * MAX_OFF_FRAMES, _OFF_RATE * whole.sum())
+    fits = near.all() and (whole >= 1).all() and rate_off <= 0
+    return np.concatenate(([0], np.cumsum(whole))).astype(np.int64) if fits else None
 
 
 @dataclass(frozen=True)
@@ -95,11 +161,28 @@ class TimedScans:
     files: list[Path]
     frames: Int[np.ndarray, " files"]
     """Frames of the clock, from 0."""
-    fps: float
-    start_time: float
-    """Time of frame 0, seconds."""
     decisions: list[str]
     """What was assumed, in sentences."""
+    fps: float
+    start_time: float = 0.0
+    """Time of frame 0, seconds."""
+
+
+def clock_of_files(folder: Path, files: list[Path], fps: float | None) -> TimedScans:
+    """Number files of one frame each by the folder's times.csv, else by names at a frame rate.
+
+    Raises:
+        ValueError: when there is neither a times.csv nor a frame rate, or one is implausible.
+    """
+    if (times := folder / "times.csv").exists():
+        return in_time_order(times, files)
+    if fps is None:
+        raise FormatError(
+            f"{folder}: expected times.csv with the times of its files; give frames per second "
+            "with --frame-rate"
+        )
+    FRAME_RATE.check(fps, folder, "frame rate")
+    return TimedScans(*frames_of_names(files, fps), fps=fps)
 
 
 def in_time_order(path: Path, files: list[Path]) -> TimedScans:
@@ -108,41 +191,64 @@ def in_time_order(path: Path, files: list[Path]) -> TimedScans:
     Raises:
         ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
     """
-    times, named = read_times(path, files)
+    times, named, decisions = read_times(path, files)
     TIME.check(times, path, "time")
-    decisions: list[str] = []
     order = np.argsort(times, kind="stable")
     if named and not np.array_equal(order, np.arange(len(files))):
         decisions.append(f"{path.name} has the files in another order than their names")
         files, times = [files[k] for k in order], times[order]
     frames, fps, start = frame_numbers_of_times(times, path)
-    return TimedScans(
-        files, frames, fps, start, [*decisions, *note_on_empty_frames(times, frames, fps)]
-    )
+    decisions += note_on_empty_frames(times, frames, fps)
+    return TimedScans(files, frames, decisions, fps, start)
 
 
-def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files"], bool]:
-    """Read the time of every file, seconds, and whether the lines name files.
+def read_times(
+    path: Path, files: list[Path]
+) -> tuple[Float[np.ndarray, " files"], bool, list[str]]:
+    """Read the time of every file, seconds, whether the lines name files, and a note on the unit.
+
+    A heading may end in the unit of the times (time_ms); else they are seconds, or the finer unit
+    in which they are of a usual rate where seconds would be too slow to show a motion.
 
     Raises:
-        ValueError: when a file has no time or the lines are of another kind.
+        ValueError: when a file has no time, the lines are of another kind, or the unit is unknown.
     """
     rows = [
         re.split(r"[,;\s]+", line.strip()) for line in decoded_text(read_bytes(path)).splitlines()
     ]
     rows = [row for row in rows if row != [""]]
-    if rows and not _is_number(rows[0][-1]):
-        rows = rows[1:]
+    heading = rows.pop(0)[-1].lower() if rows and not _is_number(rows[0][-1]) else ""
     if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
         raise FormatError(f"{path}: expected a line per file, its time in s, or its name and time")
-    if any(len(row) == 2 for row in rows):
-        named = {Path(row[0]).name: float(row[-1]) for row in rows}
-        if missing := [file.name for file in files if file.name not in named]:
+    if named := any(len(row) == 2 for row in rows):
+        time_of = {Path(row[0]).name: float(row[-1]) for row in rows}
+        if missing := [file.name for file in files if file.name not in time_of]:
             raise FormatError(f"{path}: has no time for {', '.join(missing[:5])}")
-        return np.array([named[file.name] for file in files]), True
-    if len(rows) != len(files):
+        times = np.array([time_of[file.name] for file in files])
+    elif len(rows) != len(files):
         raise FormatError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
-    return np.array([float(row[0]) for row in rows]), False
+    else:
+        times = np.array([float(row[0]) for row in rows])
+    ticks = _ticks_of_times(np.sort(times), heading, path)
+    said = f"{path.name} counts {ticks:g} in a second, by its heading or the size of its steps"
+    return times / ticks, named, [said] if ticks != 1 else []
+
+
+def _ticks_of_times(times: Float[np.ndarray, " files"], heading: str, path: Path) -> float:
+    """Return how many units of rising times are a second, by the heading of their column or size.
+
+    Raises:
+        ValueError: when the heading names no unit and the times are too far apart for any.
+    """
+    if (unit := _UNIT.search(heading)) is not None:
+        return _PARTS[unit[1]]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if not (ticks := ticks_per_second(1 / max(step, 1e-300), _SLOWEST)):
+        raise FormatError(
+            f"{path}: half of the times are {step:g} or more apart: as seconds, they show no "
+            "motion; expected seconds, or the unit in its heading: file,time_ms"
+        )
+    return ticks
 
 
 def frame_numbers_of_times(

@@ -10,14 +10,14 @@ from jaxtyping import Float, Int
 
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
+from recon.core.limits import BINARY, CLOUD, POSITION
 from recon.core.units import METRES, Up, check_unit, to_z_up
 from recon.formats.observations import PointsFile
 from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
-from recon.formats.scan_times import frames_of_names, in_time_order
+from recon.formats.scan_times import clock_of_files
 from recon.formats.texts import decoded_text, parsed_numbers, read_bytes, with_decimal_points
 
 _BYTES = {
@@ -153,10 +153,11 @@ def read_scans(
 ) -> PointsFile:
     """Read a folder of one cloud per frame, in metres, z up; `scan_2` comes before `scan_10`.
 
-    A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
-    time) gives the clock; dropped frames stay empty. Times of named files may be in any order, and
-    unevenly spaced: they are then put on a clock with a frame near each. Without that file,
-    numbers or times in the names tell which frames were dropped.
+    A file `times.csv` beside them (a line per file: its time in seconds or in the unit of a
+    heading such as time_ms, or its name and its time) gives the clock; dropped frames stay empty.
+    Times of named files may be in any order, and unevenly spaced: they are then put on a clock
+    with a frame near each. Without that file, numbers or times in the names tell which frames were
+    dropped.
 
     Args:
         folder: with .ply, .pcd or .obj files.
@@ -175,21 +176,8 @@ def read_scans(
     """
     folder = Path(folder)
     check_unit(unit)
-    paths = scan_paths(folder)
-    times = folder / "times.csv"
-    decisions: list[str] = []
-    if times.exists():
-        clock = in_time_order(times, paths)
-        paths, frames, fps = clock.files, clock.frames, clock.fps
-        start, decisions = clock.start_time, clock.decisions
-    elif fps is None:
-        raise FormatError(
-            f"{folder}: expected times.csv with the times of its files; give frames per second "
-            "with --frame-rate"
-        )
-    else:
-        (frames, decisions), start = frames_of_names(paths), 0.0
-    FRAME_RATE.check(fps, folder, "frame rate")
+    clock = clock_of_files(folder, scan_paths(folder), fps)
+    paths, decisions = clock.files, clock.decisions
     clouds = [read_cloud(path) for path in paths]
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
@@ -208,9 +196,9 @@ def read_scans(
     kept = [thinned_cloud(cloud * metres, points, outliers, generator) for cloud in clouds]
     return PointsFile(
         points=np.concatenate(kept) @ to_z_up(up).T,
-        frame=np.repeat(frames, [len(cloud) for cloud in kept]),
-        fps=fps,
-        start_time=start,
+        frame=np.repeat(clock.frames, [len(cloud) for cloud in kept]),
+        fps=clock.fps,
+        start_time=clock.start_time,
         decisions=tuple(decisions),
     )
 

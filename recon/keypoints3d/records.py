@@ -9,13 +9,11 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, FRAMES, JOINTS
 from recon.core.units import snapped_rate
-from recon.formats.scan_times import frames_of_even_times
+from recon.formats.scan_times import frames_of_even_times, ticks_per_second
 from recon.formats.text_tables import with_missing_frames
 
 _LARGEST = 1e7
 """Coordinate of a point ten kilometres away, in millimetres."""
-_USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
-"""Rates of recordings, and times that others than seconds count in a second."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +72,9 @@ class Points3D:
         even = np.abs(steps - middle).max() <= middle / 2
         clock = None if even or len(times) != len(self.positions) else frames_of_even_times(times)
         count = len(steps) if clock is None else int(clock[-1])
-        fps, unit = snapped_rate(count / span) if span > 0 else 0.0, 1.0
-        if 0 < fps < _USUAL_RATES[0]:
-            unit = next((u for u in _TICKS if _USUAL_RATES[0] <= fps * u <= _USUAL_RATES[1]), 0.0)
-            fps = snapped_rate(count / span * unit)
+        rate = count / span if span > 0 else 0.0
+        unit = ticks_per_second(snapped_rate(rate))
+        fps = snapped_rate(rate * unit)
         if not FRAME_RATE.holds(fps) or not (even or clock is not None):
             said = f"the times in {place} do not rise evenly by a usual step and were not used"
             return replace(self, decisions=(*self.decisions, said))

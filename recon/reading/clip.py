@@ -328,10 +328,8 @@ def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
         return read_scans(
             path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed
         )
-    if settings.camera is None or settings.frame_rate is None:
-        raise ObservationError(
-            f"{path}: depth images need the sensor's calibration (--camera) and --frame-rate"
-        )
+    if settings.camera is None:
+        raise ObservationError(f"{path}: depth images need the sensor's calibration (--camera)")
     cameras = load_cameras(
         settings.camera,
         unit=settings.camera_unit,

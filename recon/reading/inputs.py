@@ -55,8 +55,8 @@ class InputFiles:
 def observation_input(path: Path) -> InputFiles:
     """Return the files that `recon.reading.clip.load_clip` reads of an observation.
 
-    Of a folder these are its clouds with their table of times, else its depth images, else its
-    files of keypoints. A video in the folder is not read.
+    Of a folder these are its clouds or else its depth images with their table of times, or else
+    its files of keypoints. A video in the folder is not read.
     """
     if not path.is_dir():
         return InputFiles(path, (path,))
@@ -67,9 +67,8 @@ def observation_input(path: Path) -> InputFiles:
         return InputFiles(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:
-            clouds, images = tuple(cloud_files(path)), _files_inside(path, _IMAGES)
-            if clouds or images:
-                return InputFiles(path, (*clouds, path / "times.csv") if clouds else images)
+            if frames := tuple(cloud_files(path)) or _files_inside(path, _IMAGES):
+                return InputFiles(path, (*frames, path / "times.csv"))
             return InputFiles(path, _keypoint_files(path))
         views = () if project.detections is None else _keypoint_files(project.detections)
     except (ValueError, OSError):

@@ -161,9 +161,10 @@ def _describe_camera(camera: CameraArrays) -> str:
 
 def _describe_scans(path: Path) -> dict[str, Any]:
     paths = scan_paths(path)
-    times, fps, decisions = path / "times.csv", None, []
+    times, fps, decisions = path / "times.csv", None, list[str]()
     if times.exists():
-        fps = in_time_order(times, paths).fps
+        clock = in_time_order(times, paths)
+        fps, decisions = clock.fps, clock.decisions
     else:
         decisions.append("no times.csv: give --frame-rate to fit")
     step = max(len(paths) // _SAMPLED_CLOUDS, 1)

@@ -22,6 +22,8 @@ def test_points_take_the_nearest_of_their_kind():
     open_[3] = True
     expected = cost.masked_fill(~open_[:, None], torch.inf).argmin(-1)
     assert torch.equal(found, torch.where(present, expected, 0))
+    found = nearest_alike(points, present & False, kinds, surface, allowed, of_surface)
+    assert (found == 0).all(), "a window of a recording in which nothing was seen"
 
 
 @pytest.mark.parametrize("deviation", [0.01, 0.03, 0.07])

@@ -1,5 +1,7 @@
 """Folders of clouds and of depth images: read, thinned, and refused when unclear."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -73,6 +75,11 @@ def test_folders_count_naturally_and_units_are_found(tmp_path):
         (("1617012345.8", "1617012345.9", "1617012346.2", "1617012346.3"), [0, 1, 4, 5],
          ["2 frames are missing"]),
         (("1617012345_900000000", "1617012346_8", "1617012346_100000000"), [0, 1, 2], []),
+        (("0.9", "1.0", "1.103", "2.0"), [0, 1, 2, 11], ["8 frames are missing"]),
+        (("t_99ms", "t_200ms", "t_301ms", "t_701ms"), [0, 1, 2, 6],
+         ["3 frames are missing"]),
+        (("1760000000000000", "1760000000099980", "1760000000300020"), [0, 1, 3],
+         ["1 frames are missing"]),
         (("a0b1", "a0c1", "b0a1"), [0, 1, 2], ["do not number frames"]),
     ],
 )  # fmt: skip
@@ -84,6 +91,25 @@ def test_numbers_and_times_in_names_tell_dropped_clouds(names, frames, said, tmp
     assert np.unique(file.frame).tolist() == frames
     told = [one for one in file.decisions if "frames" in one]
     assert [part in one for part, one in zip(said, told, strict=True)] == [True] * len(said)
+
+
+@pytest.mark.parametrize("name", ["cam{1}_{0:04d}", "{0:04d}_cam{1}", "left{1}.{0}"])
+def test_clouds_of_several_sensors_are_no_sequence(name, tmp_path):
+    """They were read in turns as one sequence at half speed."""
+    for frame in range(3):
+        for sensor in range(2):
+            write_ply(tmp_path / f"{name.format(frame, sensor)}.ply", person(frame))
+    with pytest.raises(ValueError, match=r"are both frame .*a folder of their own"):
+        read_scans(tmp_path, fps=30.0)
+
+
+@pytest.mark.parametrize("names", [("0.9", "1.0", "1.1"), ("0", "33", "67", "100")])
+def test_times_in_names_of_another_rate_are_refused(names, tmp_path):
+    """Milliseconds were frame numbers: 97 % of the frames were empty."""
+    for name in names:
+        write_ply(tmp_path / f"{name}.ply", person(0))
+    with pytest.raises(ValueError, match=r"at 15 frames per|fit 15 frames per"):
+        read_scans(tmp_path, fps=15.0)
 
 
 def test_times_leave_dropped_frames_empty(tmp_path):
@@ -106,6 +132,29 @@ def test_times_leave_dropped_frames_empty(tmp_path):
         (tmp_path / "times.csv").write_text(text)
         with pytest.raises(ValueError, match=message):
             read_scans(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("heading", "step", "fps"),
+    [
+        ("file,time_ms", 100 / 3, 30.0), ("file time [us]", 2e5, 5.0), ("file,time", 33.333, 30.0),
+        ("file,timestamp (ms)", 5.0, 200.0), ("file,seconds", 20.0, 0.05), ("file,time", 5.0, 0.2),
+    ],
+)  # fmt: skip
+def test_times_of_scans_may_count_parts_of_seconds(heading, step, fps, tmp_path):
+    """Milliseconds were read as seconds: clocks of 0.01 Hz, which took minutes to fit."""
+    lines = [heading]
+    for frame in range(4):
+        write_ply(tmp_path / f"{frame}.ply", person(frame))
+        lines.append(f"{frame}.ply {step * frame:.3f}")
+    (tmp_path / "times.csv").write_text("\n".join(lines))
+    file = read_scans(tmp_path)
+    assert file.fps == pytest.approx(fps, rel=1e-4)
+    assert np.unique(file.frame).tolist() == [0, 1, 2, 3]
+    assert any("in a second" in line for line in file.decisions) == (step * fps > 1.1)
+    (tmp_path / "times.csv").write_text("0\n900\n1800\n2700\n")
+    with pytest.raises(ValueError, match="expected seconds, or the unit"):
+        read_scans(tmp_path)
 
 
 def test_scans_at_any_times_get_a_clock_with_a_frame_near_each(tmp_path):
@@ -185,6 +234,26 @@ def test_depth_images_become_points(images):
         folder / "depth", placed, fps=30.0, masks=folder / "mask", points=10_000, outliers=None
     )
     assert np.allclose(world.points, file.points - [1.0, 2.0, 3.0])
+
+
+def test_depth_images_may_lack_frames(images):
+    """Files were consecutive frames whatever their names, so that time was squeezed at gaps."""
+    folder, camera = images
+    depth, poses = folder / "depth", np.tile(np.eye(4), (3, 1, 1))
+    for kind in ("depth", "mask"):
+        shutil.copy(folder / kind / "2.png", folder / kind / "5.png")
+    poses[2, 2, 3] = 1.0
+    moving = CameraArrays(camera.camera_matrix, (60, 40), T_camera_world=poses)
+    file = read_depth_images(depth, moving, fps=30.0, masks=folder / "mask", outliers=None)
+    assert np.unique(file.frame).tolist() == [0, 1, 4]
+    assert "2 frames are missing" in file.decisions[0]
+    assert np.allclose(file.points[file.frame == 4, 2], 1.0)
+    assert file.camera.T_camera_world[:, 2, 3].tolist() == [0, 0, 0, 0, 1]
+    with pytest.raises(ValueError, match="--frame-rate"):
+        read_depth_images(depth, camera)
+    (depth / "times.csv").write_text("1.png,2.5\n2.png,3.0\n5.png,2.0\n")
+    file = read_depth_images(depth, camera)
+    assert (file.fps, file.start_time, file.frame.max()) == (2.0, 2.0, 2)
 
 
 def test_the_largest_number_of_depth_images_is_no_measurement(images):

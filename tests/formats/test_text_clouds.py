@@ -85,6 +85,17 @@ def test_folders_of_tables_or_arrays_of_points_are_scans_for_every_verb(tmp_path
 
 
 @pytest.mark.parametrize(
+    "array", [POINTS.reshape(60, 4, 3), POINTS.T, POINTS.ravel().view("f8,f8,f8")]
+)
+def test_arrays_of_clouds_of_other_shapes_are_told_the_expected_one(tmp_path, array):
+    """They were said to be keypoints, of which one file is to be given."""
+    for k in range(2):
+        np.save(tmp_path / f"{k}.npy", array)
+    with pytest.raises(ReconError, match=r"numbers \(points, 3\), but 0.npy .*shape"):
+        recon.fit(tmp_path, frame_rate=30.0)
+
+
+@pytest.mark.parametrize(
     ("name", "text"),
     [
         ("a.csv", "x,y,z,joint,frame\n" + "1.0,1.0,1.0,nose,0\n" * 40),
