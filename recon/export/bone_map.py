@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from recon.core.bone_names import LIMBS, names_of_joints, side_and_words_of
+from recon.core.bone_names import FINGER_WORDS, LIMBS, names_of_joints, side_and_words_of
 from recon.core.errors import ReconError
 from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
 from recon.core.skeleton import JOINTS
@@ -25,11 +25,6 @@ _HELPER_WORDS = frozenset((
     "nub", "tip", "adj", "tweak", "socket", "prop", "weapon", "dyn", "jiggle", "eff", "effector",
 ))  # fmt: skip
 """Words in names of helper bones, such as IK targets and twist bones, which are no joints."""
-_FINGER_WORDS = {
-    "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
-    "pinky": "pinky", "little": "pinky", "pinkie": "pinky",
-    "first": "thumb", "second": "index", "third": "middle", "fourth": "ring", "fifth": "pinky",
-}  # fmt: skip
 _METACARPALS = frozenset(("metacarpal", "meta", "mc", "palm", "0", "00"))
 _CLAVICLES = ("shoulder", "clavicle", "collar", "clav", "scapula")
 
@@ -284,7 +279,7 @@ def _finger_joints(
     for node, (_, words) in side_and_words.items():
         if node == hand or not (below := tree.path_below(hand, node)):
             continue
-        named = {_FINGER_WORDS[word] for word in words if word in _FINGER_WORDS}
+        named = {FINGER_WORDS[word] for word in words if word in FINGER_WORDS}
         if len(named) == 1:
             (finger,) = named
             words = [word.lstrip("0") or "0" for word in words]
