@@ -12,7 +12,7 @@ from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
 from recon.export.character import Character
-from tests.export.characters import Look, make_character, read_glb_of, write_glb_of
+from tests.export.characters import Look, array_of, make_character, read_glb_of, write_glb_of
 
 LOOK = Look(names_of_joints()["mixamo"])
 
@@ -179,6 +179,22 @@ def test_compressed_meshes_are_left_alone_and_soles_come_from_their_boxes(made):
     assert after.skin == {}
     assert after.lowest_height == pytest.approx(before.lowest_height, abs=1e-6)
     assert after.warnings == ()
+
+
+def test_what_hangs_below_the_feet_is_no_sole(made):
+    """A train 30 cm below the soles gave legs that are 30 cm longer, and lifted the body."""
+    before = Character.read(made)
+    document, data = read_glb_of(made)
+    places = array_of(document, data, 0).copy()
+    places[array_of(document, data, 1)[:, 0] == JOINTS.index("pelvis"), 1] -= 1.3
+    document["accessors"][0] |= {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+    write_glb_of(made, document, places.astype("<f4").tobytes() + data[places.nbytes :])
+    after = Character.read(made)
+    assert places[:, 1].min() < -0.2
+    assert after.lowest_height == before.lowest_height
+    hips = after.bones.nodes["pelvis"]
+    assert hips not in after.skin
+    assert set(after.skin) == set(before.skin) - {hips}
 
 
 def test_a_bind_pose_that_cannot_be_read_is_said(made):
