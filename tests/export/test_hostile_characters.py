@@ -206,6 +206,31 @@ def test_a_bind_pose_that_cannot_be_read_is_said(made):
     assert read.reference is read.world
 
 
+def test_a_buffer_for_what_is_compressed_needs_no_data(made, tmp_path):
+    """gltfpack -cc writes such a buffer."""
+
+    def packed(document):
+        empty = {
+            "byteLength": 10**6,
+            "extensions": {"EXT_meshopt_compression": {"fallback": True}},
+        }
+        document["buffers"].append(empty)
+        for view in document["bufferViews"][:3]:
+            view["extensions"] = {"EXT_meshopt_compression": {**view, "mode": "ATTRIBUTES"}}
+            view["buffer"] = 1
+
+    read = Character.read(changed(made, packed))
+    assert read.skin == {}
+    read.file.write_with_animation(tmp_path / "out.glb", "a", np.zeros(2), [], {})
+    assert Character.read(tmp_path / "out.glb").file.buffers[1] == b""
+
+    def plain(document):
+        del document["bufferViews"][1]["extensions"]
+
+    with pytest.raises(ReconError, match="again, without compression"):
+        Character.read(changed(made, plain))
+
+
 def test_quantised_vertices_are_read(made):
     before = Character.read(made)
     document, data = read_glb_of(made)
