@@ -62,12 +62,11 @@ def split_off_hands(points: Points3D) -> tuple[Points3D, Points3D | None]:
     kept = [k for k, one in enumerate(found) if one is None]
     told = " ".join(rows)
     fingers = [f"{side}_{finger}" for side in SIDES if side in told for finger in FINGERS]
-    lacking = [one for one in fingers if one not in told]
+    lacking = ", ".join(one for one in fingers if one not in told)
     said = f"{len(rows)} points of hands, which fingers are fitted to"
-    said += f"; none of {', '.join(lacking)}" if lacking else ""
     body = replace(
         points, names=tuple(points.names[k] for k in kept), positions=points.positions[:, kept],
-        decisions=(*points.decisions, said),
+        decisions=(*points.decisions, said + f"; none of {lacking}" * bool(lacking)),
     )  # fmt: skip
     return body, replace(points, names=FINGER_POINTS, positions=hands)
 
