@@ -22,6 +22,13 @@ LIMBS = {
     "foot": ("toebase", "toes", "toe", "ball", "foot"),
 }  # fmt: skip
 """Words for the bone of each limb joint, without side and separators, the surest first."""
+FINGER_WORDS = {
+    "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
+    "pinky": "pinky", "little": "pinky", "pinkie": "pinky", "small": "pinky",
+    "forefinger": "index",
+    "first": "thumb", "second": "index", "third": "middle", "fourth": "ring", "fifth": "pinky",
+}  # fmt: skip
+"""Words for fingers in names of bones and points, keyed to the names in `FINGERS`."""
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from recon.core.bone_names import LIMBS, names_of_joints, side_and_words_of
+from recon.core.bone_names import FINGER_WORDS, LIMBS, names_of_joints, side_and_words_of
 from recon.core.errors import ReconError
 from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
 from recon.core.skeleton import JOINTS
@@ -25,12 +25,7 @@ _HELPER_WORDS = frozenset((
     "nub", "tip", "adj", "tweak", "socket", "prop", "weapon", "dyn", "jiggle", "eff", "effector",
 ))  # fmt: skip
 """Words in names of helper bones, such as IK targets and twist bones, which are no joints."""
-_FINGER_WORDS = {
-    "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
-    "pinky": "pinky", "little": "pinky", "pinkie": "pinky",
-    "first": "thumb", "second": "index", "third": "middle", "fourth": "ring", "fifth": "pinky",
-}  # fmt: skip
-_METACARPALS = frozenset(("metacarpal", "meta", "mc", "palm", "0", "00"))
+_METACARPALS = frozenset(("metacarpal", "meta", "mc", "palm"))
 _CLAVICLES = ("shoulder", "clavicle", "collar", "clav", "scapula")
 
 
@@ -279,19 +274,24 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
 def _finger_joints(
     tree: Tree, hand: int, side: str, side_and_words: Mapping[int, tuple[str, list[str]]]
 ) -> dict[str, int]:
-    """Find the finger joints of one hand, by names and by their order along the fingers."""
+    """Find the finger joints of one hand, by names and by their order along the fingers.
+
+    A finger's bone with the number 0 is a metacarpal if three more follow, else the first joint.
+    """
     rows: dict[str, list[tuple[int, int]]] = {finger: [] for finger in FINGERS}
     for node, (_, words) in side_and_words.items():
         if node == hand or not (below := tree.path_below(hand, node)):
             continue
-        named = {_FINGER_WORDS[word] for word in words if word in _FINGER_WORDS}
+        named = {FINGER_WORDS[word] for word in words if word in FINGER_WORDS}
         if len(named) == 1:
             (finger,) = named
-            words = [word.lstrip("0") or "0" for word in words]
             if finger == "thumb" or not _METACARPALS & set(words):
                 rows[finger].append((len(below), node))
-    return {
-        f"{side}_{finger}{k + 1}": node
-        for finger, nodes in rows.items()
-        for k, (_, node) in enumerate(sorted(nodes)[:3])
-    }
+    found = {}
+    for finger, bones in rows.items():
+        chain = [node for _, node in sorted(bones)]
+        if finger != "thumb" and len(chain) > 3:
+            words = side_and_words[chain[0]][1]
+            chain = chain[int(any(not word.strip("0") for word in words)) :]
+        found |= {f"{side}_{finger}{k + 1}": node for k, node in enumerate(chain[:3])}
+    return found

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from recon.core import rotations as so3
 from recon.core.errors import FormatError, ReconError
+from recon.core.fingers import SIDES
 from recon.export.bone_map import BoneMap, map_bones
 from recon.export.bone_tree import Tree
 from recon.export.glb_file import GltfFile, normalised
@@ -149,7 +150,7 @@ class Character:
         nodes = self.bones.nodes
         pairs = [
             (nodes[f"{s}_{a}"], nodes[f"{s}_{b}"])
-            for s in ("left", "right")
+            for s in SIDES
             for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
         ]
         lengths = [
@@ -165,8 +166,16 @@ class Character:
         """Outermost points on the skin of every animated bone, in the axes of its node.
 
         Multiplied by the scale of the node they are in lengths of the scene. There are none where
-        the mesh is compressed.
+        the mesh is compressed. What lies below the soles at rest, such as a train, is left out:
+        the ground would lift the body by it.
         """
+        low = -np.inf if self.lowest_height is None else self.lowest_height - 1e-3
+        kept = {k: one[self._heights_at_rest(k, one) > low] for k, one in self._vertices.items()}
+        return {node: _outermost_points(points) for node, points in kept.items() if len(points)}
+
+    @cached_property
+    def _vertices(self) -> dict[int, Float[np.ndarray, "points 3"]]:
+        """Vertices that every animated bone moves most, or a bone below it, like `skin`."""
         bone_of_node: dict[int, int] = {}
         driven = set(self.animated_nodes)
         for k in self.order:
@@ -182,7 +191,7 @@ class Character:
                 back = np.linalg.inv(self.world[bone_of_node[node]]) @ self.world[node]
                 points = points @ back[:3, :3].T + back[:3, 3]
                 found.setdefault(bone_of_node[node], []).append(points)
-        return {node: _outermost_points(np.concatenate(points)) for node, points in found.items()}
+        return {node: np.concatenate(points) for node, points in found.items()}
 
     def _skinned_parts(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
         """Read joints, inverse bind matrices, vertices and their main joints of all mesh parts."""
@@ -203,18 +212,26 @@ class Character:
 
     @cached_property
     def lowest_height(self) -> float | None:
-        """Height of the lowest vertex in the rest pose, like `rest_positions`; None if unknown."""
-        up = self.rotation_to_body_axes[1] * self.scale
-        if self.reference is not self.world and (box := self._bounds_of_skin()) is not None:
+        """Height of the soles in the rest pose, like `rest_positions`; None if unknown.
+
+        They are the lowest vertex of the feet, as a train, cape or weapon may reach below; where
+        the feet have no vertices that can be read, the lowest one of all.
+        """
+        nodes = self.bones.nodes
+        feet = {nodes.get(f"{side}_{joint}") for side in SIDES for joint in ("ankle", "foot")}
+        skin = {node: points for node, points in self._vertices.items() if node in feet}
+        box = None if skin or self.reference is self.world else self._bounds_of_skin()
+        if box is not None:
             corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
-            return float((corners @ up).min())
-        low = [
-            (self._posed_at_rest(node, points) @ up).min() for node, points in self.skin.items()
-        ]
+            return float((corners @ self.rotation_to_body_axes[1]).min() * self.scale)
+        skin = skin or self._vertices
+        low = [self._heights_at_rest(node, points).min() for node, points in skin.items()]
         return float(min(low)) if low else None
 
-    def _posed_at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
-        return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
+    def _heights_at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
+        """Return heights in the rest pose of points in the axes of a node, as `rest_positions`."""
+        posed = points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
+        return posed @ self.rotation_to_body_axes[1] * self.scale
 
     def _bounds_of_skin(self) -> Float[np.ndarray, "2 3"] | None:
         """Return smallest and largest coordinates of vertices of the skin with most bones."""

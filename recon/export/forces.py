@@ -11,7 +11,6 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.body.opensim import OpenSimModel
-from recon.core.errors import ReconError
 from recon.core.motion import Motion, MotionFile
 from recon.core.units import to_z_up
 from recon.export.tables import write_storage
@@ -19,18 +18,6 @@ from recon.mocap.force_plates import read_force_plates
 from recon.physics.forces import GroundForces, ground_forces
 from recon.physics.moments import joint_moments
 from recon.physics.plates import MeasuredForces, forces_under_feet
-
-ENDINGS = (".mot", ".sto", ".csv")
-
-
-def check_force_ending(option: str, path: Path | None) -> None:
-    """Refuse a file of another kind than OpenSim's storage or CSV.
-
-    Raises:
-        ReconError: naming the option.
-    """
-    if path is not None and path.suffix.lower() not in ENDINGS:
-        raise ReconError(f"--{option} {path}: expected a file that ends in {', '.join(ENDINGS)}")
 
 
 @dataclass(frozen=True)

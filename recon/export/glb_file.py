@@ -69,8 +69,12 @@ class GltfFile:
         version = _record(document, path).get("asset", {})
         if not str(_record(version, path, "asset").get("version", "")).startswith("2."):
             raise FormatError(f"{path}: expected glTF of version 2, got {version!r:.60}")
-        buffers = []
+        buffers, views = [], records(document, "bufferViews", path)
         for k, one in enumerate(records(document, "buffers", path)):
+            used = [view for view in views if view.get("buffer") == k]
+            if k > 0 and "uri" not in one and used and all(_is_compressed(one) for one in used):
+                buffers.append(b"")  # EXT_meshopt_compression unpacks into such a buffer
+                continue
             held = binary if k == 0 and "uri" not in one else _data_of(one, path)
             size = one.get("byteLength")
             if held is None or not isinstance(size, int) or not 0 <= size <= len(held):
@@ -104,7 +108,7 @@ class GltfFile:
         if "bufferView" not in one or "sparse" in one:
             return None
         view = views[self.index(one["bufferView"], len(views), "bufferView")]
-        if any("compression" in name for name in view.get("extensions") or {}):
+        if _is_compressed(view):
             return None
         data = self.buffers[self.index(view.get("buffer"), len(self.buffers), "buffer")]
         step = np.dtype(dtype).itemsize * width
@@ -217,6 +221,10 @@ def records(document: Any, key: str, path: Path) -> list[dict[str, Any]]:
     return found
 
 
+def _is_compressed(view: dict[str, Any]) -> bool:
+    return any("compression" in name for name in view.get("extensions") or {})
+
+
 def _record(value: Any, path: Path, key: str = "the file") -> dict[str, Any]:
     if not isinstance(value, dict):
         raise FormatError(f"{path}: expected glTF, but {key} is no JSON object: {value!r:.60}")
@@ -260,7 +268,10 @@ def _data_of(record: dict[str, Any], path: Path) -> bytes:
     """
     uri = record.get("uri")
     if not isinstance(uri, str):
-        raise FormatError(f"{path}: a buffer has neither data nor a file: {record!r:.60}")
+        raise FormatError(
+            f"{path}: a buffer has neither data nor a file: {record!r:.60}; export the character "
+            "again, without compression"
+        )
     if uri.startswith("data:"):
         head, _, body = uri.partition(",")
         try:

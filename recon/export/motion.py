@@ -12,7 +12,6 @@ from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.forces import (
     GroundLoads,
-    check_force_ending,
     ground_loads,
     write_forces,
     write_moments,
@@ -20,7 +19,7 @@ from recon.export.forces import (
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import recorded_markers, write_angles, write_mot
-from recon.export.usd import write_usd
+from recon.export.usd import SUFFIXES, write_usd
 from recon.formats.joint_table import write_joint_table
 from recon.formats.outputs import Output, OutputKind
 from recon.formats.reports import checksums, versions
@@ -28,6 +27,14 @@ from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
 from recon.mocap.marker_tables import write_trc
 from recon.view.files import draw_html, show_of_files
+
+_STORAGES = (".mot", ".sto", ".csv")
+_ENDINGS = {
+    "glb": (".glb",), "usd": SUFFIXES, "bvh": (".bvh",), "trc": (".trc",), "mot": _STORAGES,
+    "angles": (".csv",), "forces": _STORAGES, "moments": _STORAGES, "joints": (".csv",),
+    "html": (".html", ".htm"), "robot": (".npz",), "smpl": (".npz",),
+}  # fmt: skip
+"""Endings of the files that each option writes."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +144,12 @@ def export_file(
     _refuse_without_output(
         {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
     )
-    check_force_ending("forces", forces)
-    check_force_ending("moments", moments)
+    vrm = {"glb": (".glb", ".vrm")} if names == "vrm" or character is not None else {}
+    for option, endings in (_ENDINGS | vrm).items():
+        target = targets[option]
+        if target is not None and target.suffix.lower() not in endings:
+            expected = ", ".join(endings)
+            raise ReconError(f"--{option} {target}: expected a file that ends in {expected}")
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "

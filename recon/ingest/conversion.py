@@ -16,6 +16,7 @@ from recon.body.contacts import contact_labels, rest_heights
 from recon.body.levelling import levelling_rotation, rotated_motion
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
+from recon.core.bone_names import FINGER_WORDS, side_and_words_of
 from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
@@ -29,6 +30,8 @@ from recon.mocap.recording import SkeletonRecording
 
 GLITCH_SPEED = 20.0
 """Speed (m/s) that no joint of a body reaches: between such frames the recording jumps."""
+_ENDS_OF_HANDS = 4
+"""Joints named after fingers that skeletons without fingers may have, as CMU's do."""
 _FINGERS = ("finger", "thumb", "index", "mid", "ring", "pinky")
 
 
@@ -113,10 +116,13 @@ def _conversion_of(
     keep_frame: bool,
 ) -> Conversion:
     jumps = jump_frames(recording)
+    sided = [words for side, words in map(side_and_words_of, recording.joint_names) if side]
+    fingers = [words for words in sided if FINGER_WORDS.keys() & words and "end" not in words]
+    lost = f"{len(fingers)} joints of fingers are left out: skeletons give the body alone"
     found = on_ground(
         solved.motion,
         dict(zip(names, (1000 * solved.residuals).tolist(), strict=True)),
-        recording.decisions,
+        (*recording.decisions, *([lost] if len(fingers) > _ENDS_OF_HANDS else ())),
         body,
         soles,
         n_glitch=len(jumps),

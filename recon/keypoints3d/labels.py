@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from recon.core.bone_names import LIMBS, side_and_words_of
-from recon.core.fingers import FINGER_POINTS, SIDES
+from recon.core.bone_names import FINGER_WORDS, LIMBS, side_and_words_of
+from recon.core.fingers import FINGER_POINTS, FINGERS, SIDES
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.detections.tables import plain_part_name
@@ -51,7 +51,8 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 
 def split_off_hands(points: Points3D) -> tuple[Points3D, Points3D | None]:
     """Split keypoints into the body's and 42 of the hands, which are None if there are none."""
-    found = [_point_of_hand(name) for name in points.names]
+    of_unity = any(re.search("thumb.*intermediate", name.lower()) for name in points.names)
+    found = [_point_of_hand(name, of_unity=of_unity) for name in points.names]
     rows = {one: k for k, one in enumerate(found) if one is not None and one not in found[:k]}
     if len(rows) < _FEWEST:
         return points, None
@@ -59,51 +60,56 @@ def split_off_hands(points: Points3D) -> tuple[Points3D, Points3D | None]:
     for name, k in rows.items():
         hands[:, FINGER_POINTS.index(name)] = points.positions[:, k]
     kept = [k for k, one in enumerate(found) if one is None]
+    told = " ".join(rows)
+    fingers = [f"{side}_{finger}" for side in SIDES if side in told for finger in FINGERS]
+    lacking = ", ".join(one for one in fingers if one not in told)
+    said = f"{len(rows)} points of hands, which fingers are fitted to"
     body = replace(
         points, names=tuple(points.names[k] for k in kept), positions=points.positions[:, kept],
-        decisions=(*points.decisions, f"{len(rows)} points of hands, which fingers are fitted to"),
+        decisions=(*points.decisions, said + f"; none of {lacking}" * bool(lacking)),
     )  # fmt: skip
     return body, replace(points, names=FINGER_POINTS, positions=hands)
 
 
-def _point_of_hand(label: str) -> str | None:
+def _point_of_hand(label: str, *, of_unity: bool = False) -> str | None:
     """Return the name in `FINGER_POINTS` of a label such as LIndexPIP; None for another label.
 
-    Joints of the thumb from the wrist on are cmc, mcp and ip, or metacarpal, proximal and distal
-    (OpenXR); those of fingers mcp, pip and dip, or proximal, intermediate and distal.
+    A label names a side, a finger and a place. Places are numbers from 1, the joint nearest to
+    the wrist, to 4, the tip, or words; a number beside a word counts (OpenPose's LThumb2Knuckles).
+    The proximal joint of a thumb is the second, after the metacarpal (OpenXR), but the first of
+    Unity and VRM 0.x, whose thumbs have an intermediate one.
     """
-    word = re.sub(
-        r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", label.rsplit(":", 1)[-1]
-    )
-    word = re.sub(r"[^a-z0-9]+", "_", word.lower()).strip("_")
-    word = re.sub(r"(?<=[a-z])([123])$", r"_\1", word)
-    if word.endswith(("left_hand_wrist", "right_hand_wrist")):
-        return word
-    if (found := _OF_HAND.match(word)) is None:
+    side, words = side_and_words_of(label)
+    if side and words[-2:] in (["hand", "wrist"], ["hand", "root"]):
+        return f"{side}_hand_wrist"
+    at = next((k for k, word in enumerate(words) if word in FINGER_WORDS), -1)
+    if not side or at < 0 or (at > 0 and words[at - 1] not in _BESIDE_FINGERS):
         return None
-    side, finger, place = found.groups()
-    side = "left" if side.startswith("l") else "right"
-    finger = "pinky" if finger in ("little", "small") else finger
-    number = _PLACES_OF_THUMB.get(place, 0) if finger == "thumb" else _PLACES.get(place, 0)
-    if place == "tip":
-        return f"{side}_{finger}_tip"
-    return f"{side}_{finger}{number}" if number else None
+    finger = FINGER_WORDS[words[at]]
+    rest = [word for word in words[at + 1 :] if word not in _BESIDE_FINGERS]
+    numbers = [int(word) for word in rest if word.isdigit()]
+    place = "".join(word for word in rest if not word.isdigit()).removesuffix("s")
+    known = _PLACES_OF_THUMB if finger == "thumb" else _PLACES
+    if place and place not in known:
+        return None
+    number = (numbers or [1 if of_unity and place == "proximal" else known.get(place, 0)])[0]
+    names = {k: f"{side}_{finger}{k}" for k in (1, 2, 3)} | {4: f"{side}_{finger}_tip"}
+    return names.get(number)
 
 
 _FEWEST = 6
 """Points of hands, fewer of which are no fingers: some skeletons have the tips of thumbs."""
-_OF_HAND = re.compile(
-    r"^(left|right|l|r)_(?:hand_)?(thumb|index|middle|ring|pinky|little|small)_(?:finger_)?"
-    r"(?:phalanx_)?([a-z]+|[123])(?:_joint)?$"
-)
-_PLACES = {
-    "mcp": 1, "pip": 2, "dip": 3, "proximal": 1, "intermediate": 2, "distal": 3,
-    "1": 1, "2": 2, "3": 3,
-}  # fmt: skip
-_PLACES_OF_THUMB = {
-    "cmc": 1, "mcp": 2, "ip": 3, "metacarpal": 1, "proximal": 2, "distal": 3,
-    "1": 1, "2": 2, "3": 3,
-}  # fmt: skip
+_BESIDE_FINGERS = ("hand", "finger", "phalanx", "joint", "f", "b")
+"""Words beside a finger's name that say nothing, f of Rigify and b of Meta's headsets with them.
+Other words before it mean no finger, as in left_foot_index."""
+# Apple's joints are named by the bone that they begin or end, and the third joint of Goliath's
+# points, counted from the tip, is the first
+_OF_ALL = {"tip": 4, "distal": 3, "dp": 3, "knuckle": 1, "intermediatebase": 2,
+           "intermediatetip": 3, "third": 1}  # fmt: skip
+_PLACES = _OF_ALL | {"mcp": 1, "pip": 2, "dip": 3, "proximal": 1, "intermediate": 2, "pp": 1,
+                     "mp": 2}  # fmt: skip
+_PLACES_OF_THUMB = _OF_ALL | {"cmc": 1, "mcp": 2, "ip": 3, "metacarpal": 1, "mc": 1,
+                              "proximal": 2, "intermediate": 2, "pp": 2}  # fmt: skip
 
 
 def keypoints_of_labels(labels: Sequence[str]) -> list[str | None]:

@@ -34,6 +34,10 @@ _WHOLE = {133: ("coco133", 91), 136: ("halpe26", 94), 75: ("mediapipe33", 33)}
 """Layout at the head of COCO-WholeBody, HALPE with faces and hands, and MediaPipe with hands, and
 the place from which on the 21 points of the left and of the right hand follow."""
 _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
+KNOWN_BY_COUNT = _PROGRAMS | {
+    count: f"{layout} with hands" for count, (layout, _) in _WHOLE.items()
+}
+"""Which points unnamed arrays have, by their number, where it is not that of a layout."""
 
 
 def named_by_count(points: Points3D) -> Points3D:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from recon.core import coordinates as told
 from recon.core import limits, units
+from recon.core.bone_names import side_and_words_of
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Up
 
@@ -346,13 +347,18 @@ def head_to_foot_length(
 ) -> float:
     """Longest path along the bones from a head joint to a foot joint, in the offsets' unit.
 
-    It does not depend on the pose. Without such names it is the longest path between any two
-    joints, that from a foot to a hand, which is about as long.
+    It does not depend on the pose. Where no name says head, it begins at any joint of the trunk:
+    one that no joint of a left or right limb is or lies above. Where no names tell limbs or feet
+    either, it is the longest path between any two joints, from foot to fingertip: 1.4 times that.
     """
     words = [name.lower().split(":")[-1] for name in names]
     heads = [j for j, word in enumerate(words) if "head" in word]
     feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
     every = range(len(names))
+    trunk: set[int] = set()
+    for j, (name, parent) in enumerate(zip(names, parents, strict=True)):
+        if (parent < 0 or parent in trunk) and not side_and_words_of(name)[0]:
+            trunk.add(j)
     depth = np.zeros(len(names))
     # an infinite length is refused later, since no unit fits it
     with np.errstate(over="ignore"):
@@ -361,7 +367,7 @@ def head_to_foot_length(
         depth[joint] = 0.0 if parent < 0 else depth[parent] + length
     # root distance of the farthest head (row 0) and foot (row 1) among a joint's descendants
     deepest = np.full((2, len(names)), -math.inf)
-    for kind, ends in enumerate((heads or every, feet or every)):
+    for kind, ends in enumerate((heads or trunk or every, feet or every)):
         deepest[kind, list(ends)] = depth[list(ends)]
     longest = 0.0
     for joint in reversed(every):

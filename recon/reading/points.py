@@ -25,6 +25,7 @@ from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Hand, Up, check_unit, to_z_up
 from recon.formats.observations import PositionsFile
+from recon.keypoints3d.layouts import KNOWN_BY_COUNT
 
 _ROOM = (-0.3, 2.5)
 """Metres above the floor between which a person lies or hangs."""
@@ -294,10 +295,13 @@ def settle_body_layout(
             )
         return layout, f"layout {layout}: given"
     if not misfits:
+        known = {one: len(names) for one, names in LAYOUTS.items()}
+        known |= {what: number for number, what in KNOWN_BY_COUNT.items()}
         raise FormatError(
             f"{name}: {count} points, but known layouts have other numbers ("
-            f"{', '.join(f'{one} {len(names)}' for one, names in LAYOUTS.items())}); write the "
-            "names of the points beside them, in a table or .npz"
+            f"{', '.join(f'{one} {number}' for one, number in known.items())}); write the names "
+            "of the points beside them, in a table or .npz; those of hands are left_hand_wrist, "
+            "left_thumb1, left_thumb_tip, left_index1, ..."
         )
     if not fitting:
         raise FormatError(

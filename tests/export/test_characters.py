@@ -10,11 +10,11 @@ import torch
 
 from recon.body.hands import RELAXED, HandModel
 from recon.body.model import BodyModel
-from recon.core.bone_names import names_of_joints
+from recon.core.bone_names import names_of_joints, side_and_words_of
 from recon.core.errors import ReconError
 from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
-from recon.export.bone_map import map_bones
+from recon.export.bone_map import _finger_joints, map_bones
 from recon.export.bone_tree import Tree
 from recon.export.character import Character
 from recon.export.gltf import write_glb
@@ -281,6 +281,18 @@ def test_bones_are_found_by_names_of_many_conventions(convention):
     assert [JOINTS[k] for k in (*found.spine, *found.neck)] == [
         "spine1", "spine2", "spine3", "neck",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("numbers", "first"), [("0123", 1), ("012", 0), ("1234", 0)])
+def test_a_finger_bone_of_number_0_is_a_metacarpal_before_three_more(numbers, first):
+    tree = _tree({})
+    wrist = JOINTS.index("left_wrist")
+    parents = (*tree.parents, wrist, *range(22, 21 + len(numbers)))
+    names = (*tree.names, *(f"l_index_{k}" for k in numbers))
+    grown = Tree(names, parents, frozenset(range(len(names))))
+    sides = {k: side_and_words_of(name) for k, name in enumerate(names)}
+    found = _finger_joints(grown, wrist, "left", sides)
+    assert found == {f"left_index{k + 1}": 22 + first + k for k in range(3)}
 
 
 @pytest.mark.parametrize("program", NAMES)

@@ -12,7 +12,7 @@ from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
 from recon.export.character import Character
-from tests.export.characters import Look, make_character, read_glb_of, write_glb_of
+from tests.export.characters import Look, array_of, make_character, read_glb_of, write_glb_of
 
 LOOK = Look(names_of_joints()["mixamo"])
 
@@ -181,6 +181,22 @@ def test_compressed_meshes_are_left_alone_and_soles_come_from_their_boxes(made):
     assert after.warnings == ()
 
 
+def test_what_hangs_below_the_feet_is_no_sole(made):
+    """A train 30 cm below the soles gave legs that are 30 cm longer, and lifted the body."""
+    before = Character.read(made)
+    document, data = read_glb_of(made)
+    places = array_of(document, data, 0).copy()
+    places[array_of(document, data, 1)[:, 0] == JOINTS.index("pelvis"), 1] -= 1.3
+    document["accessors"][0] |= {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+    write_glb_of(made, document, places.astype("<f4").tobytes() + data[places.nbytes :])
+    after = Character.read(made)
+    assert places[:, 1].min() < -0.2
+    assert after.lowest_height == before.lowest_height
+    hips = after.bones.nodes["pelvis"]
+    assert hips not in after.skin
+    assert set(after.skin) == set(before.skin) - {hips}
+
+
 def test_a_bind_pose_that_cannot_be_read_is_said(made):
     def compressed(document):
         document["bufferViews"][3]["extensions"] = {"EXT_meshopt_compression": {}}
@@ -188,6 +204,31 @@ def test_a_bind_pose_that_cannot_be_read_is_said(made):
     read = Character.read(changed(made, compressed))
     assert "the pose of the nodes is taken instead" in read.warnings[0]
     assert read.reference is read.world
+
+
+def test_a_buffer_for_what_is_compressed_needs_no_data(made, tmp_path):
+    """gltfpack -cc writes such a buffer."""
+
+    def packed(document):
+        empty = {
+            "byteLength": 10**6,
+            "extensions": {"EXT_meshopt_compression": {"fallback": True}},
+        }
+        document["buffers"].append(empty)
+        for view in document["bufferViews"][:3]:
+            view["extensions"] = {"EXT_meshopt_compression": {**view, "mode": "ATTRIBUTES"}}
+            view["buffer"] = 1
+
+    read = Character.read(changed(made, packed))
+    assert read.skin == {}
+    read.file.write_with_animation(tmp_path / "out.glb", "a", np.zeros(2), [], {})
+    assert Character.read(tmp_path / "out.glb").file.buffers[1] == b""
+
+    def plain(document):
+        del document["bufferViews"][1]["extensions"]
+
+    with pytest.raises(ReconError, match="again, without compression"):
+        Character.read(changed(made, plain))
 
 
 def test_quantised_vertices_are_read(made):

@@ -80,7 +80,7 @@ def test_bvh_with_their_names_reads_back_to_our_places(program, motion, tmp_path
     path = tmp_path / "m.bvh"
     skeleton = skeleton_of(motion, BodyModel.load(), "m")
     write_bvh(path, skeleton, bones=program)
-    read = read_bvh(path, unit="cm", up="y")
+    read = read_bvh(path)
     theirs = [name.removeprefix("mixamorig:") for name in joint_names_in(JOINTS, program)]
     assert set(theirs) <= set(read.joint_names)
     rows = [read.joint_names.index(name) for name in theirs]

@@ -8,9 +8,11 @@ import torch
 
 import recon
 from recon.body.angles import isb_angles
+from recon.core.errors import ReconError
 from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
+from recon.export.motion import export_file
 from recon.export.tables import recorded_markers
 from recon.formats.motions import load_motion, save_motion
 from recon.mocap.bvh import read_bvh
@@ -51,6 +53,14 @@ def test_bvh(body, tmp_path, unit, fps):
     names = [back.joint(name) for name in JOINTS]
     assert np.abs(back.positions[:, names] - truth.positions[:, :22]).max() < 1e-6  # m
     assert np.abs(back.orientations[:, names] - truth.orientations[:, :22]).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["glb=a.gltf", "glb=a.vrm", "trc=a.csv", "bvh=a.txt"])
+def test_endings_of_other_formats_are_refused(tmp_path, name):
+    """The file was written in the option's format, whatever its name said."""
+    option, _, file = name.partition("=")
+    with pytest.raises(ReconError, match=f"--{option} .*expected a file that ends in "):
+        export_file(tmp_path / "motion.npz", **{option: tmp_path / file})
 
 
 def test_motion_files(body, tmp_path: Path):

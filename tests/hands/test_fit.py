@@ -12,6 +12,7 @@ from recon.body.hands import LIMITS, RELAXED, HandModel
 from recon.body.identities import identity
 from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
+from recon.core.bone_names import names_of_joints
 from recon.core.camera import pose_looking_at as look_at
 from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS, ROWS
 from recon.core.layouts import LAYOUTS
@@ -19,6 +20,7 @@ from recon.core.skeleton import JOINTS
 from recon.fitting.hands import HandView, _angle_precision, _FingerProblem
 from recon.keypoints3d.labels import _point_of_hand, are_keypoints, split_off_hands
 from recon.keypoints3d.reader import read_session
+from recon.keypoints3d.records import Points3D
 from tests.hands.made import FPS, hand_points, noisy, person, pose_table
 
 TIPS = [k for k, name in enumerate(FINGER_POINTS) if name.endswith("_tip")]
@@ -155,10 +157,36 @@ def test_session_with_hands(tmp_path):
     ("left_little_intermediate", "left_pinky2"), ("left_index3", "left_index3"),
     ("left_index_finger_phalanx_distal", "left_index3"), ("r_ring_tip", "right_ring_tip"),
     ("left_hand_wrist", "left_hand_wrist"), ("left_index", None), ("left_wrist", None),
-    ("left_index_metacarpal", None), ("nose", None),
+    ("left_index_metacarpal", None), ("nose", None), ("left_hand_root", "left_hand_wrist"),
+    ("left_forefinger1", "left_index1"), ("right_middle_finger4", "right_middle_tip"),
+    ("LThumb2Knuckles", "left_thumb2"), ("LIndex4FingerTip", "left_index_tip"),
+    ("leftHandIndexFingerIntermediateTip", "left_index3"), ("index_01_l", "left_index1"),
+    ("leftHandThumbKnuckle", "left_thumb1"), ("left_foot_index", None), ("left_small_toe", None),
+    ("left_pinky_finger_third_joint", "left_pinky1"), ("left_index_5", None),
 ])  # fmt: skip
 def test_labels_of_points(label, point):
     assert _point_of_hand(label) == point
+
+
+@pytest.mark.parametrize("program", names_of_joints())
+def test_names_of_exported_finger_bones_are_points(program):
+    for joint in HAND_JOINTS:
+        assert _point_of_hand(names_of_joints()[program][joint]) == joint
+
+
+def test_thumbs_of_unity_begin_with_the_proximal_joint():
+    """Its metacarpal joint was the second one, and the second was left out."""
+    places = ("Proximal", "Intermediate", "Distal")
+    names = tuple(f"Left{finger}{place}" for finger in ("Thumb", "Index") for place in places)
+    seen = np.arange(6.0)[None, :, None] * np.ones((1, 6, 3))
+    points = Points3D("unity", seen, names)
+    body, hands = split_off_hands(points)
+    assert body.decisions == (
+        "6 points of hands, which fingers are fitted to; none of left_middle, left_ring, "
+        "left_pinky",
+    )
+    at = [FINGER_POINTS.index(f"left_{name}") for name in ("thumb1", "thumb2", "thumb3", "index1")]
+    assert hands.positions[0, at, 0].tolist() == [0, 1, 2, 3]
 
 
 def test_labels_with_fingers_are_keypoints():

@@ -18,6 +18,7 @@ from recon.body.levelling import levelling_rotation, rotated_motion, standing_fl
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core import rotations as so3
+from recon.core.fingers import FINGERS
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS
 from recon.export.bvh import skeleton_of, write_bvh
@@ -148,6 +149,25 @@ def test_left_and_right_of_skeletons_are_told_by_the_body(
     if fault == "mirrored":
         given = right_handed_skeleton(bad, recognise(bad), "left")
         np.testing.assert_array_equal(given.positions, recording.positions)
+
+
+def test_fingers_of_skeletons_are_said_to_be_left_out(
+    recording: SkeletonRecording, converted: Conversion, bundled: BodyModel
+) -> None:
+    assert not any("fingers" in said for said in converted.decisions)
+    wrist = recording.joint("left_wrist")
+    more = [f"l_{finger}_{k}" for finger in FINGERS for k in (0, 1, 2)]
+    rows = [*range(len(recording.parents)), *[wrist] * len(more)]
+    grown = dataclasses.replace(
+        recording,
+        joint_names=(*recording.joint_names, *more),
+        parents=(*recording.parents, *[wrist] * len(more)),
+        rest_offsets=recording.rest_offsets[rows],
+        positions=recording.positions[:, rows],
+        orientations=recording.orientations[:, rows],
+    )
+    said = convert(grown.window(0, 9), bundled).decisions
+    assert any("15 joints of fingers are left out" in one for one in said)
 
 
 def test_another_rate_on_request(converted: Conversion, bundled: BodyModel) -> None:
