@@ -160,6 +160,7 @@ def test_of_two_people_one_is_named_and_the_other_stays_open():
     right = [np.abs(named.positions - own[:, one]).max(-1) < 1e-9 for own in (x, other)]
     assert max(same.sum() for same in right) >= 0.95 * x[..., 0].size
     assert any("without a name" in said for said in found.warnings)
+    assert any("other names may be wrong" in said for said in found.warnings)
 
 
 @pytest.mark.numerics
