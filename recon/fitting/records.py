@@ -41,8 +41,8 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
         raise ObservationError(f"--between takes two rising times in seconds, got {start} {stop}")
     ends = [one.start_time + (one.shown.shape[-2] - 1) / one.fps for one in clip.observations]
     first = max(start, min(one.start_time for one in clip.observations))
-    last = max(first, min(stop, max(ends)))
-    cut = tuple(observation.window(first, last) for observation in clip.observations)
+    last = min(stop, max(ends))
+    cut = tuple(one.window(first, last) for one in clip.observations) if first <= last else ()
     if not any(len(seen_times(one)) > 0 for one in cut):
         times = np.concatenate([seen_times(one) for one in clip.observations])
         raise ObservationError(

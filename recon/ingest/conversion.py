@@ -87,6 +87,10 @@ class Conversion:
         save_motion(path, self.file(body, contacts=contacts))
 
 
+_MOSTLY_TOO_FAST = 0.2
+"""Share of frames with impossible speeds from which on they are no single glitches."""
+
+
 def convert_skeletons(
     recordings: Sequence[SkeletonRecording],
     subject: SubjectModel,
@@ -132,7 +136,15 @@ def _conversion_of(
     known = [joint for joint in FEET if JOINTS[joint] in names]
     source[:, known] = solved.source_feet
     slip = slip_speed(source, found.contacts, solved.motion.fps)
-    return dataclasses.replace(found, report={**found.report, "slip_source_mps": slip})
+    warnings, share = found.warnings, len(jumps) / solved.motion.frames
+    if share > _MOSTLY_TOO_FAST:
+        said = (
+            f"a joint is faster than {GLITCH_SPEED:g} m/s in {share:.0%} of the frames: perhaps "
+            "the root's translations have another unit than the bones, or the frame rate is wrong"
+        )
+        warnings = (*warnings, Finding("jump", said, value=share))
+    report = {**found.report, "slip_source_mps": slip}
+    return dataclasses.replace(found, report=report, warnings=warnings)
 
 
 def on_ground(

@@ -114,3 +114,5 @@ def test_a_stretch_ends_where_the_observations_do():
     assert part.shown.shape == (1, 4, 2)
     with pytest.raises(ValueError, match="nothing was seen between 5 and 9 s"):
         clip_between(clip, 5.0, 9.0)
+    with pytest.raises(ValueError, match="nothing was seen between 0 and 1 s"):
+        clip_between(clip, 0.0, 1.0)  # it gave the first frame

@@ -268,6 +268,16 @@ def test_jumps_split_a_recording(recording: SkeletonRecording) -> None:
     assert "1 jumps" in str(rejected[0]["reason"])
 
 
+def test_a_root_in_another_unit_than_the_bones_is_told(
+    recording: SkeletonRecording, bundled: BodyModel
+) -> None:
+    """A motion of 118 m/s had no warning."""
+    root = recording.positions[:, :1]
+    far = dataclasses.replace(recording, positions=recording.positions + 500 * root)
+    told = [one.message for one in convert(far, bundled).warnings]
+    assert any("another unit than the bones" in one for one in told)
+
+
 def test_collections_read_manifests(recording: SkeletonRecording, tmp_path: Path) -> None:
     folder = tmp_path / "lab"
     folder.mkdir()
