@@ -52,7 +52,6 @@ class PointCloud(Sensor):
     """
 
     sees = "surface"
-    level = False
     timed = ("points", "present", "labels", "std")
     points: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not present."""
@@ -140,6 +139,11 @@ class PointCloud(Sensor):
     def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Mask of the points that exist; the other rows pad clouds with fewer points."""
         return self.present
+
+    @property
+    def level(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Whether z points up: scans from all sides have z up, a depth sensor may be tilted."""
+        return self.camera is None
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
         """Noise as given or `CLOUD_NOISE`; a frame weighs no more than `CLOUD_WORTH` points."""

@@ -30,8 +30,8 @@ _SLACK = 1e-3
 def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
     """Check a first guess; return it with all shape coefficients, and the body's dtype and device.
 
-    It has to cover the time of at least one observation, at any rate. Missing last shape
-    coefficients are set to zero.
+    It has to cover the time of at least one observation, or of all, at any rate. Missing last
+    shape coefficients are set to zero.
 
     Raises:
         ValueError: when it has another number of clips, covers another time, has more shape
@@ -48,7 +48,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
             f"start: expected a motion of {counts[0][0]} clips, as observed, got "
             f"{len(start.translation)}"
         )
-    if seen and not any(_covers_observation(start, one) for one in seen):
+    if seen and not (any(_covers_observation(start, one) for one in seen) or _covers(start, seen)):
         first = seen[0]
         stop = first.start_time + first.duration
         frames = int(first.duration * start.fps + _SLACK) + 1
@@ -80,6 +80,13 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
     end_offset = seen.duration * start.fps - (start.frames - 1)
     one_frame = max(1.0, start.fps / REFERENCE_FPS)
     return abs(start_offset) <= _SLACK and -_SLACK <= end_offset < one_frame - _SLACK
+
+
+def _covers(start: Motion, seen: Sequence[Sensor]) -> bool:
+    """Return whether a motion covers the time of all observations to within about a frame."""
+    begin = min(one.start_time for one in seen)
+    end = max(one.start_time + one.duration for one in seen)
+    return max(abs(start.start_time - begin), abs(start.stop_time - end)) * start.fps <= 1 + _SLACK
 
 
 @dataclass(frozen=True)

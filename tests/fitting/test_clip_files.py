@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 import torch
 
+from observations.depth import PointCloud
+from observations.first_guess import with_first_guess
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
+from observations.surfels import Surfels
 from recon.core.rotations import transform
 from recon.fitting.records import Clip, clip_between
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
+from recon.method.sensor import frame_is_level
 from recon.reading.clip import load_clip
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
@@ -116,3 +120,23 @@ def test_a_stretch_ends_where_the_observations_do():
         clip_between(clip, 5.0, 9.0)
     with pytest.raises(ValueError, match="nothing was seen between 0 and 1 s"):
         clip_between(clip, 0.0, 1.0)  # it gave the first frame
+
+
+def test_a_motion_lasts_as_long_as_all_sensors_together():
+    """It lasted as long as the first sensor with names: half of all other data was dropped."""
+    joints = bundled().pose(walk(31)).joints[None]
+    shown = torch.ones(1, 31, 22, dtype=torch.bool)
+    early = Joints3D(joints, shown, tuple(range(22)), 30.0)
+    late = early.derived(start_time=0.5)
+    _, guess = with_first_guess((late, early), bundled(), None, None)
+    assert guess.motion.start_time == 0.0
+    assert guess.motion.frames == 46
+    _, again = with_first_guess((late, early), bundled(), guess.motion, None)
+    assert again.motion.frames == 46
+
+
+def test_scans_without_a_floor_keep_their_vertical():
+    """They were tilted by 5 degrees, as the posture had to tell which way is up."""
+    points, present = torch.rand(1, 2, 50, 3), torch.ones(1, 2, 50, dtype=torch.bool)
+    scans = PointCloud(points, present, Surfels.of(bundled(), 100), 10.0, ground_known=False)
+    assert frame_is_level((scans,))

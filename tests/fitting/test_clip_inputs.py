@@ -25,7 +25,7 @@ def written(folder: Path, *names: str) -> Path:
 
 FOLDERS = {
     "scans": (("scan_1.ply", "scan_2.PLY", "times.csv"), ("video.mp4", "notes.txt", "other.csv")),
-    "depth": (("1.png", "2.png"), ("video.mp4", "times.csv")),
+    "depth": (("1.png", "2.png", "times.csv"), ("video.mp4", "other.csv")),
     "detections": (("cam_1.json", "cam_2.json"), ("video.mp4", "old/cam_1.json")),
     "views": (("a/1.json", "b/1.json"), ("a/video.mp4", "video.avi")),
     "tables": (("a.csv", "b.csv"), ("a.avi",)),
