@@ -21,7 +21,7 @@ from recon.fitting.methods import FitOptions, is_preview, loaded_prior
 from recon.fitting.records import ClipFit, clip_between, seen_times
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.pace import paced
-from recon.method.sensor import Sensor
+from recon.method.sensor import Sensor, views_of
 from recon.method.stages import Watch
 
 
@@ -102,6 +102,10 @@ def fit_and_check(
         ValueError: when observations contradict each other, or the start or the prior does not
             fit them; says what to do.
     """
+    if len(views_of(observations)) > 1:  # imported only for several views
+        from observations.camera_paths import on_common_clock
+
+        observations = on_common_clock(observations)
     clip = CheckedClip(
         observations=tuple(observations), names=tuple(names), options=options, body=body
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from observations.camera_paths import on_common_clock
 from observations.depth import PointCloud
 from observations.first_guess import with_first_guess
 from observations.joints3d import Joints3D
@@ -19,6 +20,7 @@ from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
 from recon.method.sensor import frame_is_level
 from recon.reading.clip import load_clip
+from recon.reading.images import keypoints_of
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, walk
@@ -140,3 +142,19 @@ def test_scans_without_a_floor_keep_their_vertical():
     points, present = torch.rand(1, 2, 50, 3), torch.ones(1, 2, 50, dtype=torch.bool)
     scans = PointCloud(points, present, Surfels.of(bundled(), 100), 10.0, ground_known=False)
     assert frame_is_level((scans,))
+
+
+def test_views_of_other_lengths_are_compared_with_each_other():
+    """A wrong clock was not found if one film was longer, and 8 cm of error were left."""
+    files = [keypoints2d(walk(16), bundled(), one, Corruption(noise=NOISE), k)
+             for k, one in enumerate(cameras(walk(16), 2))]  # fmt: skip
+    first, second = (keypoints_of(file, bundled()) for file in files)
+    cut = second.map_frames(lambda x: x[:, 2:-3])
+    short = second.derived(start_time=second.start_time + 2 / second.fps, **cut)
+    whole, padded = on_common_clock((first, short))
+    assert whole is first
+    assert padded.start_time == first.start_time
+    torch.testing.assert_close(padded.pixels[:, 2:-3], short.pixels)
+    assert float(padded.confidence[:, :2].max()) == 0.0
+    between = short.derived(start_time=short.start_time + 0.5 / short.fps)
+    assert on_common_clock((first, between))[1] is between
