@@ -78,10 +78,8 @@ def _over_all_data(motion: Motion, observations: Sequence[Sensor], body: BodyMod
         own = (times >= guess.start_time) & (times <= guess.stop_time)
         own &= (times < motion.start_time) | (times > motion.stop_time)
         part = guess.at(times[own], motion.fps)
-        translation, rotations = found.translation.clone(), found.rotations.clone()
-        translation[..., own, :] = part.translation
-        rotations[..., own, :, :, :] = part.rotations
-        found = found.replace(translation=translation, rotations=rotations)
+        found.translation[..., own, :] = part.translation
+        found.rotations[..., own, :, :, :] = part.rotations
     return found
 
 
