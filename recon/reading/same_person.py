@@ -250,7 +250,7 @@ class _TriangulatedPairs:
             raise ObservationError(
                 "the views agree in pairs, but not all together: points triangulated from all "
                 f"views miss their keypoints by {worst} of the body size (at most {_JOINTLY:.0%} "
-                "expected). Does each view have its own camera?"
+                "expected). Does each view have its own camera, and does it begin with the others?"
             )
         trunk = _trunk_length(pair)
         if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:
