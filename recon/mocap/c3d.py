@@ -132,7 +132,8 @@ def _read_markers(
         )
     names = [names[k] for k in chosen]
     subjects = {name.split(":")[0] for name in names if ":" in name}
-    if len(subjects) == 1:
+    # beside Bob:LASI, a marker LASI is on somebody else
+    if len(subjects) == 1 and not {f"{min(subjects)}:{name}" for name in names} & set(names):
         names = [name.split(":", 1)[-1] for name in names]
         notes.append(f"subject {subjects.pop()}")
     return MarkerRecording(
