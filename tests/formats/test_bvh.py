@@ -240,6 +240,15 @@ def test_acclaim_bones_turn_about_their_own_axes(tmp_path: Path) -> None:
     assert np.allclose(again.positions, clip.positions, atol=1e-9)  # m
 
 
+@pytest.mark.parametrize(("number", "said"), [("4", "got 4 after 1"), ("1", "got 1 after 1")])
+def test_a_motion_that_lacks_frames_is_refused(tmp_path: Path, number: str, said: str) -> None:
+    """Frames were taken one after another, whatever their numbers, and the clock ran ahead."""
+    (tmp_path / "07.asf").write_text(ASF)
+    (tmp_path / "07_01.amc").write_text(AMC.replace("\n2\n", f"\n{number}\n"))
+    with pytest.raises(ValueError, match=said):
+        read_amc(tmp_path / "07_01.amc", up="y")
+
+
 def test_a_skeleton_is_found_by_the_longest_beginning_of_the_motion_s_name(tmp_path: Path) -> None:
     """The skeletons of HDM05 (HDM_bk.asf for HDM_bk_kick_01.amc) were not found, because only the
     first word of the name counted."""
