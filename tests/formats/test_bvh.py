@@ -132,6 +132,12 @@ def test_a_given_unit_that_makes_a_dwarf_or_giant_is_refused(tmp_path: Path, uni
         read_recording(tmp_path / "clip.bvh", unit=unit)
 
 
+def test_lines_may_end_as_on_old_macs(tmp_path: Path) -> None:
+    plain = parse_bvh(BVH, "clip", up="y")
+    back = parse_bvh(BVH.replace("\n", "\r"), "clip", up="y")
+    assert np.array_equal(back.positions, plain.positions)
+
+
 def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> None:
     with lzma.open(tmp_path / "clip.bvh.xz", "wt") as file:
         file.write(BVH)
@@ -148,6 +154,19 @@ def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> N
     assert np.array_equal(one.positions, plain)
     with pytest.raises(ValueError, match="::NAME"):
         read_recording(tmp_path / "pack.tar.xz")
+
+
+def test_a_name_that_two_files_of_an_archive_have_is_refused(tmp_path: Path) -> None:
+    """The first was taken, of whichever folder it was."""
+    with tarfile.open(tmp_path / "pack.tar", "w") as archive:
+        for name in ("ann/a.bvh", "bob/a.bvh", "a.bvh"):
+            info = tarfile.TarInfo(name)
+            info.size = len(BVH)
+            archive.addfile(info, io.BytesIO(BVH.encode()))
+    with pytest.raises(ValueError, match=r"it holds ann/a\.bvh, bob/a\.bvh, a\.bvh$"):
+        read_recording(f"{tmp_path / 'pack.tar'}::a", up="y")
+    for name in ("bob/a.bvh", "a.bvh"):
+        assert read_recording(f"{tmp_path / 'pack.tar'}::{name}", up="y").name == name
 
 
 def test_a_t_pose_at_the_start_is_cut_and_reported(recording: SkeletonRecording) -> None:
