@@ -43,6 +43,8 @@ class SkeletonRecording:
     fps: float
     decisions: tuple[str, ...]
     """What was read or guessed about unit, axis and rate, one sentence each."""
+    start_time: float = 0.0
+    """Time of the first frame, seconds; frames that were cut off before it count."""
 
     @property
     def frames(self) -> int:
@@ -50,11 +52,12 @@ class SkeletonRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "SkeletonRecording":
-        """Return the recording of the frames from `start` to `stop` - 1."""
+        """Return the recording of the frames from `start` to `stop` - 1, at unchanged times."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
             orientations=self.orientations[start:stop],
+            start_time=self.start_time + start / self.fps,
         )
 
     def joint(self, name: str) -> int:

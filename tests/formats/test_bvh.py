@@ -176,6 +176,7 @@ def test_a_t_pose_at_the_start_is_cut_and_reported(recording: SkeletonRecording)
         recording.positions[:count] += 0.5
         cut = drop_lead_in(recording)
         assert cut.frames == recording.frames - count
+        assert cut.start_time == count / recording.fps
         assert "T-pose" in cut.decisions[-1]
     recording.positions[:] = still
     assert drop_lead_in(recording) is recording
