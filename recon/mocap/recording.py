@@ -252,7 +252,7 @@ def _numbered(labels: Sequence[str], shown: Sequence[int]) -> tuple[list[str], t
     if not again:
         return names, ()
     return names, (
-        f"{len(again)} labels repeat ({again[0]}, ...): those of copy "
+        f"labels that repeat: {len(again)} ({again[0]}, ...); those of copy "
         f"{max(total, key=lambda copy: total[copy]) + 1}, seen most, keep the name, others are "
         f"numbered ({again[0]}#2)",
     )

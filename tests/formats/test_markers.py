@@ -245,7 +245,7 @@ def test_of_repeated_labels_the_copy_seen_most_keeps_the_name(tmp_path: Path) ->
     back = read_recording(tmp_path / "clip.trc")
     assert isinstance(back, MarkerRecording)
     assert back.marker_names == (*(f"{name}#2" for name in NAMES), *NAMES)
-    assert back.decisions[-1].startswith("4 labels repeat (LFHD, ...): those of copy 2")
+    assert back.decisions[-1].startswith("labels that repeat: 4 (LFHD, ...); those of copy 2")
 
 
 def test_labels_without_prefix_beside_a_subject_are_another_person(tmp_path: Path) -> None:
