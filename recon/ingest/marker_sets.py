@@ -219,19 +219,24 @@ def right_handed_markers(
 def _labels_of_one_subject(
     recording: MarkerRecording, seen: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Return labels without those of all but the most seen person (Ann:LASI, Bob:LASI)."""
+    """Return labels without those of all but the most seen person (Ann:LASI, Bob:LASI).
+
+    Labels without a prefix belong to anybody, unless one repeats a person's (LASI): then they
+    are another person's.
+    """
     shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
+    twins = {label.split(":", 1)[-1] for label in seen if ":" in label} & set(seen)
+    subjects: dict[str, str] = {}
     counts: dict[str, int] = {}
     for label in seen:
-        if ":" in label:
-            subject = label.split(":")[0]
-            counts[subject] = counts.get(subject, 0) + shown[label]
+        if ":" in label or (twins and not label.startswith("*")):
+            subjects[label] = label.split(":")[0] if ":" in label else "(no prefix)"
+            counts[subjects[label]] = counts.get(subjects[label], 0) + shown[label]
     if len(counts) < 2:
         return list(seen), ()
     chosen = max(counts, key=lambda subject: counts[subject])
     others = [subject for subject in counts if subject != chosen]
-    kept = [label for label in seen if ":" not in label or label.split(":")[0] == chosen]
-    return kept, (
+    return [label for label in seen if subjects.get(label, chosen) == chosen], (
         f"markers of {len(counts)} subjects: those of {chosen} were taken, which are seen most; "
         f"left out: {', '.join(others)}",
     )

@@ -62,4 +62,5 @@ def convert(
             recording = replace(recording, decisions=said)
             subject = calibrate([recording], skeleton, body)
         (found,) = convert_skeletons([recording], subject, body, keep_frame=keep_frame)
+        found = replace(found, motion=found.motion.replace(start_time=recording.start_time))
     return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)

@@ -197,7 +197,7 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
 
 def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
     """Parse the values (frames, channels) of every bone, and whether angles are in degrees."""
-    degrees, frames = True, 0
+    degrees, numbers = True, array("d")
     rows: dict[str, tuple[array[float], array[int]]] = {}
     for line in io.StringIO(text):
         words = line.split()
@@ -205,8 +205,8 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
             continue
         if words[0].startswith(":"):
             degrees = False if words[0].upper() == ":RADIANS" else degrees
-        elif len(words) == 1 and words[0].isdigit():
-            frames += 1
+        elif len(words) == 1 and words[0].isdecimal():
+            numbers.append(float(words[0][:15]))  # thousands of digits in a damaged file
         else:
             try:
                 values, lengths = rows.setdefault(words[0], (array("d"), array("i")))
@@ -218,9 +218,17 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
                 ) from error
         if len(rows) > JOINTS.high:
             JOINTS.check(len(rows), name)
+    frames = len(numbers)
     if frames == 0 or "root" not in rows:
         raise FormatError(f"{name}: expected an AMC motion, each frame with a line for the root")
     SAMPLES.check(frames * len(rows), name)
+    if len(wrong := np.flatnonzero(np.diff(numbers) != 1)) > 0:
+        before, after = numbers[wrong[0]], numbers[wrong[0] + 1]
+        raise FormatError(
+            f"{name}: expected frames numbered one by one, got {after:.0f} after {before:.0f}: "
+            "frames are missing or out of order. Export the motion again, or make a file of each "
+            "part; if none is missing, correct the numbers"
+        )
     arrays: dict[str, np.ndarray] = {}
     for bone, (values, lengths) in rows.items():
         width = len(values) // frames

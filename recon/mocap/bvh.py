@@ -59,7 +59,7 @@ def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
 
 _DECIMAL_COMMA = re.compile(r"\d,\d")
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
-_MOTION = re.compile(r"^[ \t]*MOTION\b", re.IGNORECASE | re.MULTILINE)
+_MOTION = re.compile(r"(?<![^\r\n])[ \t]*MOTION\b", re.IGNORECASE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
@@ -24,6 +23,8 @@ _OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 """Parameters of POINT that list trajectories which are no points (Plug-in-Gait outputs)."""
 _TYPES = {1: "u1", 2: "i2", 4: "f4"}
 """Parameter types by their size; -1 is text."""
+_MOST_FRAMES = 0xFFFF
+"""Largest number of a frame that the header can state."""
 _POSE_NUMBERS = 17
 """Numbers per segment and frame: a matrix and its reliability."""
 _ORIGINS = {
@@ -33,7 +34,7 @@ _ORIGINS = {
 """The joint at the origin of every segment that has one."""
 _SIDES = {"l": "left", "r": "right"}
 
-_Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
+Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
 """The parameters of a group by their names."""
 
 
@@ -60,14 +61,20 @@ class Header:
         """Byte order of the file, as numpy and struct write it."""
         return ">" if self.processor == MIPS else "<"
 
-    def first_and_last_frame(self, trial: _Parameters) -> tuple[int, int]:
-        """Return the numbers of the first and last frame, from the group TRIAL if over 65,534."""
-        bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
-        pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
-        if self.last != 0xFFFF or len(pairs) < 2:
-            return self.first, self.last
-        first, last = (int(np.uint16(b[0])) + (int(np.uint16(b[1])) << 16) for b in pairs)
-        return first, last
+    @property
+    def frames(self) -> int:
+        """Number of frames of points."""
+        return self.last - self.first + 1
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes that a frame of points and analog samples takes."""
+        return (4 * self.points + self.analog) * (4 if self.scale < 0 else 2)
+
+    def held(self, data: bytes) -> int:
+        """Return for how many frames a file's bytes have room."""
+        room = len(data) - (self.data_start - 1) * BLOCK
+        return max(0, room) // max(1, self.frame_bytes)
 
 
 def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
@@ -82,9 +89,8 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         ValueError: when it is damaged or cut short, or its unit or up axis cannot be told.
     """
     data = read_binary(path)
+    header, groups = read_head(data, path)
     try:
-        header = read_header(data, path)
-        groups = read_parameters(data, header)
         if header.points == 0 and "ROTATION" in groups:
             raw = _joint_centres(data, header, groups, path)
         else:
@@ -95,7 +101,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     point = groups.get("POINT", {})
     hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(1, header.first_and_last_frame(groups.get("TRIAL", {}))[0])  # some files say 0
+    first = max(1, header.first)  # some files say 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))
@@ -106,7 +112,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
 
 
 def _read_markers(
-    data: bytes, header: Header, groups: Mapping[str, _Parameters], path: Path
+    data: bytes, header: Header, groups: Mapping[str, Parameters], path: Path
 ) -> MarkerRecording:
     """Read the points other than a model's angles and forces, in the file's unit and axes."""
     point = groups.get("POINT", {})
@@ -116,12 +122,19 @@ def _read_markers(
         raise FormatError(
             f"{path}: damaged C3D file, it has no parameters for POINT (labels, rate, unit)"
         )
-    values, residuals = _read_points(data, header, groups.get("TRIAL", {}), path)
+    values, residuals = _read_points(data, header, path)
     names, chosen = chosen_points(header, groups)
-    fps, said = stated_rate(_positive_number(point, "RATE") or header.rate, path, "POINT:RATE")
+    fps, said = stated_rate(positive_number(point, "RATE") or header.rate, path, "POINT:RATE")
     if not chosen:
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
+    if header.last > _MOST_FRAMES:
+        notes.append(f"{header.frames} frames by its parameters: its header counts to 65,535")
+    elif header.last == _MOST_FRAMES and (more := header.held(data) - header.frames) > BLOCK:
+        notes.append(
+            "frames up to 65,535 are read, as the header counts no more and POINT:LONG_FRAMES is "
+            f"missing; the file has room for {more} more"
+        )
     if left := [name for k, name in enumerate(names) if k not in set(chosen)]:
         said = f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
         notes.append(said)
@@ -132,7 +145,8 @@ def _read_markers(
         )
     names = [names[k] for k in chosen]
     subjects = {name.split(":")[0] for name in names if ":" in name}
-    if len(subjects) == 1:
+    # beside Bob:LASI, a marker LASI is on somebody else
+    if len(subjects) == 1 and not {f"{min(subjects)}:{name}" for name in names} & set(names):
         names = [name.split(":", 1)[-1] for name in names]
         notes.append(f"subject {subjects.pop()}")
     return MarkerRecording(
@@ -145,9 +159,7 @@ def _read_markers(
     )
 
 
-def chosen_points(
-    header: Header, groups: Mapping[str, _Parameters]
-) -> tuple[list[str], list[int]]:
+def chosen_points(header: Header, groups: Mapping[str, Parameters]) -> tuple[list[str], list[int]]:
     """Names of all points, and indices of those that are positions, not angles or forces."""
     names = _point_labels(point := groups.get("POINT", {}), header.points)
     outputs = {label for key in _OUTPUTS for label in texts(point, key)}
@@ -155,7 +167,7 @@ def chosen_points(
 
 
 def _joint_centres(
-    data: bytes, header: Header, groups: Mapping[str, _Parameters], path: Path
+    data: bytes, header: Header, groups: Mapping[str, Parameters], path: Path
 ) -> MarkerRecording:
     """Read segments' origins as joint centres (left_hip, ...), in the file's unit and axes.
 
@@ -163,14 +175,13 @@ def _joint_centres(
         ValueError: when the data is cut short, or its segments are not known.
     """
     rotation, labels = groups["ROTATION"], texts(groups["ROTATION"], "LABELS")
-    if not (start := int(_positive_number(rotation, "DATA_START"))):
+    if not (start := int(positive_number(rotation, "DATA_START"))):
         raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
     raw = data[(start - 1) * BLOCK :]
     values = _doubles(raw[: len(raw) // 4 * 4], header.processor)
-    rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
+    rate = positive_number(rotation, "RATE") or positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
-    first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
-    frames = last - first + 1
+    frames = header.frames
     JOINTS.check(len(labels), path, "ROTATION:LABELS")
     SAMPLES.check(max(0, frames) * len(labels), path, "header")
     count = frames * len(labels) * _POSE_NUMBERS
@@ -223,6 +234,34 @@ def read_header(data: bytes, path: Path) -> Header:
     return Header(processor, *sizes, scale, words[7], rate, words[8])
 
 
+def read_head(data: bytes, path: Path) -> tuple[Header, dict[str, Parameters]]:
+    """Read the header of a file's bytes and the parameters of all groups, keyed by group name.
+
+    First and last frame are those of TRIAL or POINT where the header's 16 bits cannot count them.
+    """
+    header = read_header(data, path)
+    try:
+        groups = read_parameters(data, header)
+    except (struct.error, IndexError) as error:
+        # an offset that the file states points beyond its end
+        raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
+    point, trial = groups.get("POINT", {}), groups.get("TRIAL", {})
+    bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
+    pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
+    counts = [min(positive_number(point, key), 1e9) for key in ("LONG_FRAMES", "FRAMES")]
+    stated = [(header.first, header.first + int(count) - 1) for count in counts]
+    if len(pairs) == 2:
+        with np.errstate(invalid="ignore"):  # damaged files may state NaN
+            first, last = (int(np.uint16(b[0])) + (int(np.uint16(b[1])) << 16) for b in pairs)
+        if header.last == _MOST_FRAMES:
+            return replace(header, first=first, last=last), groups
+        stated.append((first, last))
+    for first, last in stated:
+        if last > _MOST_FRAMES and header.frames < last - first + 1 <= header.held(data):
+            header = replace(header, first=first, last=last)
+    return header, groups
+
+
 def _doubles(data: bytes, processor: int) -> np.ndarray:
     """Convert four-byte numbers, as one of C3D's three processors stores them, to doubles."""
     # damaged files may hold signalling NaNs, of which numpy would warn
@@ -236,7 +275,7 @@ def _doubles(data: bytes, processor: int) -> np.ndarray:
         return np.where(bits & 0x7F800000, values, 0.0)
 
 
-def read_parameters(data: bytes, header: Header) -> dict[str, _Parameters]:
+def read_parameters(data: bytes, header: Header) -> dict[str, Parameters]:
     """Read the parameters of all groups, keyed by group name."""
     place = (data[0] - 1) * BLOCK + 4
     groups: dict[int, str] = {}
@@ -272,37 +311,28 @@ def _read_parameter(data: bytes, place: int, header: Header) -> np.ndarray | tup
     return np.frombuffer(raw, header.byte_order + _TYPES.get(size, "u1"))
 
 
-def _read_points(
-    data: bytes, header: Header, trial: _Parameters, path: Path
-) -> tuple[np.ndarray, np.ndarray]:
+def _read_points(data: bytes, header: Header, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Read positions (frames, points, 3) in the file's unit, and residuals (negative: unseen)."""
     JOINTS.check(header.points, path, "header")
     # a frame holds the numbers of its points, then analog samples, which are not read here
-    values = _read_numbers(data, header, trial, path, slice(4 * header.points))
+    values = read_numbers(data, header, path, slice(4 * header.points))
     values = values.reshape(len(values), -1, 4)
     return values[..., :3] * (1.0 if header.scale < 0 else header.scale), values[..., 3]
 
 
-def _read_numbers(
-    data: bytes,
-    header: Header,
-    trial: _Parameters,
-    path: Path,
-    columns: slice,
-    integer: str = "i2",
+def read_numbers(
+    data: bytes, header: Header, path: Path, columns: slice, integer: str = "i2"
 ) -> np.ndarray:
     """Read columns of the block of points and analog data (frames, columns), unscaled."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * BLOCK
-    first, last = header.first_and_last_frame(trial)
-    frames = last - first + 1
-    size = frames * width * (4 if real else 2)
+    frames = header.frames
+    size = frames * header.frame_bytes
     if frames < 1 or start + size > len(data):
-        whole = max(0, len(data) - start) // max(1, width * (4 if real else 2))
         raise FormatError(
             f"{path}: the C3D header promises {frames} frames of {header.points} points, "
-            f"{start + size} bytes in all; the file has {len(data)}, which hold {whole} frames, "
-            "and is cut short or damaged"
+            f"{start + size} bytes in all; the file has {len(data)}, which hold "
+            f"{header.held(data)} frames, and is cut short or damaged"
         )
     SAMPLES.check(frames * header.points, path, "header")
     kind = header.byte_order + ("f4" if real else integer)
@@ -313,79 +343,20 @@ def _read_numbers(
     return _doubles(table.tobytes(), header.processor).reshape(table.shape)
 
 
-@dataclass(frozen=True)
-class AnalogChannels:
-    """Analog channels of a C3D file in their units, and the groups of parameters about them."""
-
-    values: Float[np.ndarray, "frames samples channels"]
-    """Numbers after offset and scale; every frame of points has several samples."""
-    fps: float
-    """Frames per second."""
-    start_time: float
-    """Time of the first sample, seconds of the markers' clock."""
-    groups: Mapping[str, _Parameters]
-
-    def numbers(self, group: str, key: str, *shape: int) -> np.ndarray:
-        """Return a parameter's numbers in a given shape (C order); empty if it is missing."""
-        value = self.groups.get(group, {}).get(key)
-        size = math.prod(abs(one) for one in shape)
-        if not isinstance(value, np.ndarray) or value.size % size:
-            return np.zeros((0, *(max(0, one) for one in shape[1:])))
-        return value.astype(np.float64).reshape(shape)
-
-    def texts(self, group: str, key: str) -> tuple[str, ...]:
-        """Return the texts of a C3D parameter."""
-        return texts(self.groups.get(group, {}), key)
-
-
-def read_analog(path: Path) -> AnalogChannels:
-    """Read the analog channels of a .c3d file.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when it is damaged or has no analog channels.
-    """
-    data = read_binary(path)
-    try:
-        header = read_header(data, path)
-        groups = read_parameters(data, header)
-    except (struct.error, IndexError) as error:
-        raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
-    analog, trial = groups.get("ANALOG", {}), groups.get("TRIAL", {})
-    if header.analog == 0 or header.analog_rows == 0:
-        raise FormatError(f"{path}: expected a C3D file with analog channels, but it has none")
-    integer = "u2" if "".join(texts(analog, "FORMAT")).upper() == "UNSIGNED" else "i2"
-    after = slice(4 * header.points, None)
-    raw = _read_numbers(data, header, trial, path, after, integer)
-    values = raw.reshape(len(raw), header.analog_rows, -1)
-    rate = _positive_number(groups.get("POINT", {}), "RATE") or header.rate
-    fps = stated_rate(rate, path, "rate")[0]
-    first = max(1, header.first_and_last_frame(trial)[0])
-    made = AnalogChannels(values, fps, (first - 1) / fps, groups)
-    channels = values.shape[-1]
-    scale = np.ones(channels)
-    offset = np.zeros(channels)
-    for target, key in ((scale, "SCALE"), (offset, "OFFSET")):
-        stated = made.numbers("ANALOG", key, -1)[:channels]
-        target[: len(stated)] = stated
-    scaled = (values - offset) * (scale * (_positive_number(analog, "GEN_SCALE") or 1.0))
-    return replace(made, values=np.nan_to_num(scaled, nan=0.0, posinf=0.0, neginf=0.0))
-
-
-def _positive_number(group: _Parameters, key: str) -> float:
+def positive_number(group: Parameters, key: str) -> float:
     """Return the number that a parameter states, or 0 if it is missing or not positive."""
     value = group.get(key)
     stated = isinstance(value, np.ndarray) and value.size == 1 and value.flat[0] > 0
     return float(value.flat[0]) if stated else 0.0  # type: ignore[union-attr]
 
 
-def texts(group: _Parameters, key: str) -> tuple[str, ...]:
+def texts(group: Parameters, key: str) -> tuple[str, ...]:
     """Return the texts of a C3D parameter, or none if it is missing."""
     value = group.get(key, ())
     return value if isinstance(value, tuple) else ()
 
 
-def _point_labels(point: _Parameters, count: int) -> list[str]:
+def _point_labels(point: Parameters, count: int) -> list[str]:
     labels = list(texts(point, "LABELS"))
     number = 2
     while f"LABELS{number}" in point:

@@ -39,15 +39,13 @@ def write_renamed_c3d(
         ValueError: when the file is damaged, or holds poses of segments beside points.
     """
     data = read_binary(source)
-    header = c3d.read_header(data, source)
-    groups = c3d.read_parameters(data, header)
+    header, groups = c3d.read_head(data, source)
     if "ROTATION" in groups:
         raise FormatError(f"{source}: cannot rename a C3D file of rotations; write .trc or .csv")
     old, chosen = c3d.chosen_points(header, groups)
     kept = [k for k in range(header.points) if k not in set(chosen)]
     new = [*names, *(old[k] for k in kept)]
-    first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
-    frames, real = last - first + 1, header.scale < 0
+    frames, real = header.frames, header.scale < 0
     point, start = (16 if real else 8), (header.data_start - 1) * c3d.BLOCK
     width = header.points * point + header.analog * point // 4
     rows = np.frombuffer(data, np.uint8, frames * width, start).reshape(frames, width)

@@ -1,6 +1,8 @@
-"""Reads force plates of types 1 to 4 from C3D files: forces and centres of pressure, z up."""
+"""Reads analog channels and force plates of types 1 to 4 from C3D files; forces have z up."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,9 @@ from jaxtyping import Bool, Float
 from recon.core import units
 from recon.core.errors import FormatError
 from recon.core.units import Up, parse_unit
-from recon.mocap.c3d import AnalogChannels, read_analog
+from recon.formats.texts import read_binary
+from recon.mocap.c3d import Parameters, positive_number, read_head, read_numbers, texts
+from recon.mocap.recording import stated_rate
 
 LOADED_N = 20.0
 """Vertical force from which on a plate is loaded, newtons."""
@@ -23,6 +27,61 @@ _MOMENT_UNITS = {1.0: "", 1e-3: "N mm", 1e3: "kN m"}
 """Units of moments by what they are multiplied by; the first one is as stated."""
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 """Number of channels of a plate by its type."""
+
+
+@dataclass(frozen=True)
+class AnalogChannels:
+    """Analog channels of a C3D file in their units, and the groups of parameters about them."""
+
+    values: Float[np.ndarray, "frames samples channels"]
+    """Numbers after offset and scale; every frame of points has several samples."""
+    fps: float
+    """Frames per second."""
+    start_time: float
+    """Time of the first sample, seconds of the markers' clock."""
+    groups: Mapping[str, Parameters]
+
+    def numbers(self, group: str, key: str, *shape: int) -> np.ndarray:
+        """Return a parameter's numbers in a given shape (C order); empty if it is missing."""
+        value = self.groups.get(group, {}).get(key)
+        size = math.prod(abs(one) for one in shape)
+        if not isinstance(value, np.ndarray) or value.size % size:
+            return np.zeros((0, *(max(0, one) for one in shape[1:])))
+        return value.astype(np.float64).reshape(shape)
+
+    def texts(self, group: str, key: str) -> tuple[str, ...]:
+        """Return the texts of a C3D parameter."""
+        return texts(self.groups.get(group, {}), key)
+
+
+def read_analog(path: Path) -> AnalogChannels:
+    """Read the analog channels of a .c3d file.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or has no analog channels.
+    """
+    data = read_binary(path)
+    header, groups = read_head(data, path)
+    analog = groups.get("ANALOG", {})
+    if header.analog == 0 or header.analog_rows == 0:
+        raise FormatError(f"{path}: expected a C3D file with analog channels, but it has none")
+    integer = "u2" if "".join(texts(analog, "FORMAT")).upper() == "UNSIGNED" else "i2"
+    after = slice(4 * header.points, None)
+    raw = read_numbers(data, header, path, after, integer)
+    values = raw.reshape(len(raw), header.analog_rows, -1)
+    rate = positive_number(groups.get("POINT", {}), "RATE") or header.rate
+    fps = stated_rate(rate, path, "rate")[0]
+    first = max(1, header.first)
+    made = AnalogChannels(values, fps, (first - 1) / fps, groups)
+    channels = values.shape[-1]
+    scale = np.ones(channels)
+    offset = np.zeros(channels)
+    for target, key in ((scale, "SCALE"), (offset, "OFFSET")):
+        stated = made.numbers("ANALOG", key, -1)[:channels]
+        target[: len(stated)] = stated
+    scaled = (values - offset) * (scale * (positive_number(analog, "GEN_SCALE") or 1.0))
+    return replace(made, values=np.nan_to_num(scaled, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     timed = "Frame" in head  # columns of frame and time come before the markers'
     first = 2 if timed else 0
     width, notes = first + 3 * len(labels), list[str]()
-    stripped = ([cell.strip() for cell in row[:width]] for row in data)
+    stripped = ([cell.strip().replace(",", ".") for cell in row[:width]] for row in data)
     cells = list(rows_of_whole_points(stripped, first, width, name, notes))
     values = numbers_of_columns(cells, range(width), name, most=width)
     clock = values[:, :2] if timed else np.full((len(values), 2), np.nan)
@@ -110,15 +110,15 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell or "nan")
+        float(cell.replace(",", ".") or "nan")
     except ValueError:
         return False
     return True
 
 
 def _number(cell: str) -> float:
-    """Return the number that a cell holds; NaN if it holds none."""
-    return float(cell or "nan") if _is_number(cell) else np.nan
+    """Return the number that a cell holds, also with a decimal comma; NaN if it holds none."""
+    return float(cell.replace(",", ".") or "nan") if _is_number(cell) else np.nan
 
 
 def _recording_in_metres(

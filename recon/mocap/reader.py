@@ -103,15 +103,18 @@ def read_member(
         FileNotFoundError: when there is no such file.
         ValueError: when there is no such recording, or it is damaged.
     """
-    seen: dict[str, str] = {}
+    seen: list[str] = []
+    chosen: list[tuple[str, str]] = []
     for name, text in bvh_texts_in_archive(path):
-        if member in (name, Path(name).name, Path(name).stem):
-            return parse_bvh(text, name, unit=unit, up=up)
-        seen[name] = text if not seen else ""
-    if member is None and len(seen) == 1:
-        name, text = seen.popitem()
-        return parse_bvh(text, name, unit=unit, up=up)
-    recordings = ", ".join([*list(seen)[:3], "..."] if seen else ["none"])
+        if member in (None, name, Path(name).name, Path(name).stem):
+            # texts of an archive may be larger than memory; whole names come before others
+            chosen.append((name, text if not chosen or name == member else ""))
+        seen.append(name)
+    chosen = [one for one in chosen if one[0] == member] or chosen
+    if len(chosen) == 1:
+        return parse_bvh(chosen[0][1], chosen[0][0], unit=unit, up=up)
+    held = [name for name, _ in chosen] or seen
+    recordings = ", ".join([*held[:3], *["..."] * (len(held) > 3)] or ["none"])
     raise FormatError(
         f"{path}: expected BVH files, one chosen as {path.name}::NAME; it holds {recordings}"
     )

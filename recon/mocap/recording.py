@@ -43,6 +43,8 @@ class SkeletonRecording:
     fps: float
     decisions: tuple[str, ...]
     """What was read or guessed about unit, axis and rate, one sentence each."""
+    start_time: float = 0.0
+    """Time of the first frame, seconds; frames that were cut off before it count."""
 
     @property
     def frames(self) -> int:
@@ -50,11 +52,12 @@ class SkeletonRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "SkeletonRecording":
-        """Return the recording of the frames from `start` to `stop` - 1."""
+        """Return the recording of the frames from `start` to `stop` - 1, at unchanged times."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
             orientations=self.orientations[start:stop],
+            start_time=self.start_time + start / self.fps,
         )
 
     def joint(self, name: str) -> int:
@@ -192,7 +195,7 @@ def markers_in_metres(
     """Convert markers to metres and z up, as `skeleton_in_metres` does.
 
     A marker that is not finite, or lies exactly at the origin, is not visible. Labels that repeat
-    are numbered (RKNE, RKNE#2).
+    are numbered (RKNE, RKNE#2), those of the copy seen most first, as copies may be of two people.
 
     Args:
         raw: as in the file.
@@ -224,17 +227,34 @@ def markers_in_metres(
         )
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
     limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
-    times_seen: Counter[str] = Counter()
-    names = []
-    for name in raw.marker_names:
-        times_seen[name] += 1
-        names.append(name if times_seen[name] == 1 else f"{name}#{times_seen[name]}")
+    names, said = _numbered(raw.marker_names, visible.sum(0).tolist())
     return dataclasses.replace(
         raw,
         marker_names=tuple(names),
         positions=turned,
         visible=visible,
-        decisions=(*raw.decisions, reason, up_reason),
+        decisions=(*raw.decisions, reason, up_reason, *said),
+    )
+
+
+def _numbered(labels: Sequence[str], shown: Sequence[int]) -> tuple[list[str], tuple[str, ...]]:
+    """Number labels that repeat, given in how many frames each is seen; say if there are any."""
+    times = Counter(labels)
+    copies = [labels[:k].count(label) for k, label in enumerate(labels)]
+    total = Counter[int]()
+    for label, copy, frames in zip(labels, copies, shown, strict=True):
+        total[copy] += frames * (times[label] > 1)
+    names, given = list(labels), Counter[str]()
+    for k in sorted(range(len(labels)), key=lambda k: -total[copies[k]]):
+        given[labels[k]] += 1
+        names[k] += f"#{given[labels[k]]}" if given[labels[k]] > 1 else ""
+    again = [label for label, count in times.items() if count > 1]
+    if not again:
+        return names, ()
+    return names, (
+        f"labels that repeat: {len(again)} ({again[0]}, ...); those of copy "
+        f"{max(total, key=lambda copy: total[copy]) + 1}, seen most, keep the name, others are "
+        f"numbered ({again[0]}#2)",
     )
 
 

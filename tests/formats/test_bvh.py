@@ -132,6 +132,12 @@ def test_a_given_unit_that_makes_a_dwarf_or_giant_is_refused(tmp_path: Path, uni
         read_recording(tmp_path / "clip.bvh", unit=unit)
 
 
+def test_lines_may_end_as_on_old_macs(tmp_path: Path) -> None:
+    plain = parse_bvh(BVH, "clip", up="y")
+    back = parse_bvh(BVH.replace("\n", "\r"), "clip", up="y")
+    assert np.array_equal(back.positions, plain.positions)
+
+
 def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> None:
     with lzma.open(tmp_path / "clip.bvh.xz", "wt") as file:
         file.write(BVH)
@@ -150,6 +156,19 @@ def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> N
         read_recording(tmp_path / "pack.tar.xz")
 
 
+def test_a_name_that_two_files_of_an_archive_have_is_refused(tmp_path: Path) -> None:
+    """The first was taken, of whichever folder it was."""
+    with tarfile.open(tmp_path / "pack.tar", "w") as archive:
+        for name in ("ann/a.bvh", "bob/a.bvh", "a.bvh"):
+            info = tarfile.TarInfo(name)
+            info.size = len(BVH)
+            archive.addfile(info, io.BytesIO(BVH.encode()))
+    with pytest.raises(ValueError, match=r"it holds ann/a\.bvh, bob/a\.bvh, a\.bvh$"):
+        read_recording(f"{tmp_path / 'pack.tar'}::a", up="y")
+    for name in ("bob/a.bvh", "a.bvh"):
+        assert read_recording(f"{tmp_path / 'pack.tar'}::{name}", up="y").name == name
+
+
 def test_a_t_pose_at_the_start_is_cut_and_reported(recording: SkeletonRecording) -> None:
     still = recording.window(1, 2).positions
     for count in (1, 2):
@@ -157,6 +176,7 @@ def test_a_t_pose_at_the_start_is_cut_and_reported(recording: SkeletonRecording)
         recording.positions[:count] += 0.5
         cut = drop_lead_in(recording)
         assert cut.frames == recording.frames - count
+        assert cut.start_time == count / recording.fps
         assert "T-pose" in cut.decisions[-1]
     recording.positions[:] = still
     assert drop_lead_in(recording) is recording
@@ -238,6 +258,15 @@ def test_acclaim_bones_turn_about_their_own_axes(tmp_path: Path) -> None:
     (tmp_path / "07_02.amc").write_text(radians)
     again = read_amc(tmp_path / "07_02.amc", up="y")
     assert np.allclose(again.positions, clip.positions, atol=1e-9)  # m
+
+
+@pytest.mark.parametrize(("number", "said"), [("4", "got 4 after 1"), ("1", "got 1 after 1")])
+def test_a_motion_that_lacks_frames_is_refused(tmp_path: Path, number: str, said: str) -> None:
+    """Frames were taken one after another, whatever their numbers, and the clock ran ahead."""
+    (tmp_path / "07.asf").write_text(ASF)
+    (tmp_path / "07_01.amc").write_text(AMC.replace("\n2\n", f"\n{number}\n"))
+    with pytest.raises(ValueError, match=said):
+        read_amc(tmp_path / "07_01.amc", up="y")
 
 
 def test_a_skeleton_is_found_by_the_longest_beginning_of_the_motion_s_name(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from recon.core.errors import FormatError
-from recon.mocap.c3d import read_analog, read_c3d
+from recon.mocap.c3d import read_c3d
 from recon.mocap.c3d_copy import write_renamed_c3d
+from recon.mocap.force_plates import read_analog
 
 FILES = (
     "biomechzoo/HC002D06.c3d", "bmc/Gait.c3d", "vendors/btk_DEC_INT.C3D",

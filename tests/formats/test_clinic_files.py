@@ -65,6 +65,29 @@ def test_more_frames_than_sixteen_bits_count_are_read_from_trial(tmp_path: Path)
     assert read(tmp_path / "long.c3d").start_time == 0
 
 
+@pytest.mark.parametrize(
+    ("key", "frames", "said"),
+    [
+        ("LONG_FRAMES", 70_000, "70000 frames by its parameters: its header counts to 65,535"),
+        ("LONG_FRAMES", 90_000, "room for 4465 more"),  # the file does not hold as many
+        ("OTHER", 70_000, "room for 4465 more"),
+    ],
+)
+def test_frames_beyond_the_header_s_sixteen_bits_are_read_or_said(
+    tmp_path: Path, key: str, frames: int, said: str
+) -> None:
+    """All after number 65,535 were left out without a word."""
+    write_c3d(tmp_path / "clip.c3d", make_markers(), **{key: [float(frames)]})
+    data = bytearray((tmp_path / "clip.c3d").read_bytes())
+    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+    struct.pack_into("<HH", data, 6, 1, 0xFFFF)
+    frame = bytes(data[start : start + 4 * 16])
+    (tmp_path / "clip.c3d").write_bytes(bytes(data[:start]) + frame * 70_000)
+    back = read(tmp_path / "clip.c3d")
+    assert back.frames == (frames if said.startswith(str(frames)) else 65_535)
+    assert any(said in one for one in back.decisions)
+
+
 def test_the_rate_of_the_header_is_taken_where_none_is_stated(tmp_path: Path) -> None:
     write_c3d(tmp_path / "clip.c3d", make_markers())
     data = bytearray((tmp_path / "clip.c3d").read_bytes().replace(b"RATE", b"PACE"))

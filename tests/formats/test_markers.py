@@ -1,6 +1,7 @@
 """C3D, TRC and MATLAB markers: values, units, gaps, names."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +228,37 @@ def test_repeated_labels_are_numbered(tmp_path: Path) -> None:
     (tmp_path / "clip.trc").write_text(text)
     back = read_recording(tmp_path / "clip.trc")
     assert isinstance(back, MarkerRecording)
-    assert back.marker_names == ("LFHD", "C7", "C7#2", "LHEE")
+    assert back.marker_names == ("LFHD", "C7#2", "C7", "LHEE")  # the former has a gap
+
+
+def test_of_repeated_labels_the_copy_seen_most_keeps_the_name(tmp_path: Path) -> None:
+    """The first copy was taken, also where it was of another person or nearly empty."""
+    one, two = make_markers(), make_markers()
+    one.visible[1:] = False
+    both = replace(
+        one,
+        marker_names=NAMES * 2,
+        positions=np.concatenate((one.positions, two.positions), 1),
+        visible=np.concatenate((one.visible, two.visible), 1),
+    )
+    write_trc(tmp_path / "clip.trc", both)
+    back = read_recording(tmp_path / "clip.trc")
+    assert isinstance(back, MarkerRecording)
+    assert back.marker_names == (*(f"{name}#2" for name in NAMES), *NAMES)
+    assert back.decisions[-1].startswith("labels that repeat: 4 (LFHD, ...); those of copy 2")
+
+
+def test_labels_without_prefix_beside_a_subject_are_another_person(tmp_path: Path) -> None:
+    """The prefix was cut off, and the other person was taken, though seen in fewer frames."""
+    data = (NAMES[0], *(f"Ann:{name}" for name in NAMES[:3]))
+    write_c3d(tmp_path / "clip.c3d", make_markers())
+    raw = (tmp_path / "clip.c3d").read_bytes()
+    for old, new in zip((f"Ann:{name}" for name in NAMES), data, strict=True):
+        raw = raw.replace(old.encode().ljust(8), f"{new:8}".encode(), 1)
+    (tmp_path / "clip.c3d").write_bytes(raw)
+    back = read_recording(tmp_path / "clip.c3d")
+    assert isinstance(back, MarkerRecording)
+    assert back.marker_names == data
 
 
 def test_selecting_markers_keeps_order_and_names_the_missing() -> None:

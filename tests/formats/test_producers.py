@@ -238,6 +238,16 @@ def test_tables_of_markers_are_recordings(tmp_path, name):
         read_recording(path)
 
 
+def test_qualisys_tables_may_have_decimal_commas(tmp_path):
+    path = _of("Qualisys", MARKERS)(tmp_path)
+    plain = read_recording(path)
+    head, label, rows = path.read_text().partition("MARKER_NAMES")
+    path.write_text(head.replace("\t30", "\t30,0") + label + rows.replace(".", ","))
+    found = read_recording(path)
+    assert np.array_equal(found.positions, plain.positions)
+    assert found.fps == 30.0
+
+
 def test_a_skeleton_file_that_is_cut_short_is_refused(tmp_path):
     path = _of("NTU RGB+D", "3D keypoints")(tmp_path)
     path.write_text(path.read_text()[:4000])

@@ -87,13 +87,14 @@ def test_the_frame_of_the_laboratory_is_kept_where_it_is_wanted(
     assert written.tolist() == pytest.approx(kept.ground)
 
 
+@pytest.mark.parametrize(("prefix", "left"), [("Ann:", "Ann"), ("", "(no prefix)")])
 def test_of_two_subjects_the_one_seen_most_is_taken(
-    markers: MarkerRecording, single: BodyModel
+    markers: MarkerRecording, single: BodyModel, prefix: str, left: str
 ) -> None:
-    """Markers of both were fitted as those of one body."""
+    """Markers of both were fitted as those of one body, or those without a prefix were."""
     both = dataclasses.replace(
         markers,
-        marker_names=tuple(f"{who}:{n}" for who in ("Ann", "Bob") for n in markers.marker_names),
+        marker_names=tuple(f"{who}{n}" for who in (prefix, "Bob:") for n in markers.marker_names),
         positions=np.concatenate(
             (markers.positions, markers.positions + np.array((2.0, 0.0, 0.0))), 1
         ),
@@ -102,7 +103,7 @@ def test_of_two_subjects_the_one_seen_most_is_taken(
     both.visible[:5, : len(markers.marker_names)] = False
     chosen = full_body_markers(both, single)
     assert {label.split(":")[0] for label in chosen.labels} == {"Bob"}
-    assert "left out: Ann" in chosen.decisions[0]
+    assert f"left out: {left}" in chosen.decisions[0]
 
 
 def test_a_mapping_adds_to_the_known_labels(

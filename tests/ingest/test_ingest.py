@@ -390,3 +390,4 @@ def test_a_real_clip(data: Path, bundled: BodyModel) -> None:
         found.report["slip_source_mps"] or 0
     )
     assert found.motion.frames == 343
+    assert found.motion.start_time == pytest.approx(1 / 120)  # after a T-pose
