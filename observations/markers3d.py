@@ -67,6 +67,11 @@ class Markers3D(TrackedPoints):
             positions, visible, (fps, start_time), std, ("vertices", vertices),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
+        if labels is not None and len(labels) != len(places):
+            raise ObservationError(
+                f"Markers3D.labels: expected a label for each of the {len(places)} points, got "
+                f"{len(labels)}"
+            )
         self._set_fields(
             vertices=places, offsets=_checked_offsets(offsets, len(places)),
             labels=None if labels is None else tuple(labels),
@@ -74,7 +79,7 @@ class Markers3D(TrackedPoints):
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """Positions of the markers on a posed body, world, metres."""
-        points = body.points(cached_constant(self.vertices, body.joints.device))
+        points = body.points(cached_constant(self._vertices_of(body.model), body.joints.device))
         if self.offsets is None:
             return points
         turns = body.orientations[
@@ -90,7 +95,7 @@ class Markers3D(TrackedPoints):
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> BonePoints:
         """Return the markers as points that the bones of a body of given shape move."""
-        vertices = cached_constant(self.vertices, shape.device)
+        vertices = cached_constant(self._vertices_of(body), shape.device)
         identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(vertices), len(JOINTS))
         found = BonePoints.create(body, shape, none, identity, vertices)
@@ -101,12 +106,21 @@ class Markers3D(TrackedPoints):
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """Positions of the markers on the average body in its rest pose, metres."""
-        rest = body.template[list(self.vertices)]
+        rest = body.template[list(self._vertices_of(body))]
         return rest if self.offsets is None else rest + rest.new_tensor(self.offsets)
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """Joint index of the bone that moves each marker most, by skinning weight."""
-        return _bones_of_vertices(self.vertices, body.weights)
+        return _bones_of_vertices(self._vertices_of(body), body.weights)
+
+    def _vertices_of(self, body: BodyModel) -> tuple[int, ...]:
+        """Return the vertices that the markers sit on; refuse those that the body lacks."""
+        if (last := max(self.vertices, default=0)) >= len(body.template):
+            raise ObservationError(
+                f"Markers3D.vertices: expected vertices of the body, 0 to "
+                f"{len(body.template) - 1}, got {last}; give the body that has them"
+            )
+        return self.vertices
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
         """Names of the markers: the recording's labels, else landmarks or vertex indices."""

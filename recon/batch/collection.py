@@ -16,6 +16,13 @@ from recon.mocap.reader import bvh_texts_in_archive, read_recording
 from recon.mocap.recording import SkeletonRecording, drop_lead_in
 
 _SUFFIXES = (".bvh.xz", ".amc.xz", ".bvh", ".amc")
+_LEFT_OUT = {
+    (".c3d", ".trc", ".mat"): "no .bvh or .amc; convert it by `recon convert FILE`, or fit "
+    "many by `recon batch`",
+    (".tar", ".tar.gz", ".tgz"): "archives are read where a manifest.csv names their clips",
+    (".bvh", ".amc"): "no row of a manifest.csv names it",
+}
+"""Why recordings with these suffixes, also with .xz, are not among the clips of a folder."""
 _UNEVEN = ("playground", "uneven")
 
 
@@ -84,9 +91,30 @@ def clips_by_collection(root: Path) -> list[list[SourceClip]]:
     found = [list(_clips_of_collection(folder, root)) for folder in folders]
     found = [clips for clips in found if clips]
     if not found:
-        raise ValueError(f"{root}: expected BVH or AMC files or archives of them, found none")
+        raise ValueError(
+            f"{root}: expected BVH or AMC files or archives of them, found none; files of markers "
+            "are converted one by one (`recon convert FILE`), or fitted by `recon batch`"
+        )
     _check_names([clip for clips in found for clip in clips])
     return found
+
+
+def recordings_left_out(
+    root: Path, found: Sequence[Sequence[SourceClip]]
+) -> list[tuple[SourceClip, str]]:
+    """List the other recordings below a folder, with the reasons why they are not converted.
+
+    Tables (.csv, .tsv) are not listed: few of them are recordings.
+    """
+    known = {clip.path.resolve() for clips in found for clip in clips}
+    names = {path: path.name.lower().removesuffix(".xz") for path in sorted(root.rglob("*"))}
+    title = root.name or root.resolve().name
+    return [
+        (SourceClip(title, path.relative_to(root).as_posix(), path), reason)
+        for path, name in names.items()
+        for suffixes, reason in _LEFT_OUT.items()
+        if name.endswith(suffixes) and path.resolve() not in known
+    ]
 
 
 def _clips_of_collection(folder: Path, root: Path) -> Iterator[SourceClip]:

@@ -9,7 +9,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from recon.batch.collection import SourceClip, clips_by_collection, contents_of_clips
+from recon.batch.collection import (
+    SourceClip,
+    clips_by_collection,
+    contents_of_clips,
+    recordings_left_out,
+)
 from recon.batch.corpus_jobs import (
     Row,
     Task,
@@ -51,10 +56,11 @@ def convert_corpus(
 
     Writes OUT/COLLECTION/CLIP.npz and CLIP.json, OUT/log.jsonl with a line per clip as it ends,
     and OUT/report.csv and report.json with a row per motion or rejected clip; `status` of a row
-    says whether something went wrong. A recording with jumps is split at them; pieces under a
-    second are rejected. Clips are kept as they are while nothing that they depend on changes:
-    the content of the recording, its notes, the contents of those recordings of its skeleton from
-    which its shape was calibrated (up to 200), the body and the version of the conversion.
+    says whether something went wrong. Markers and other recordings that are no clips are rejected.
+    A recording with jumps is split at them; pieces under a second are rejected. Clips are kept as
+    they are while nothing that they depend on changes: the content of the recording, its notes,
+    the contents of those recordings of its skeleton from which its shape was calibrated (up to
+    200), the body and the version of the conversion.
 
     Args:
         folder: with recordings, or with folders that hold a manifest.csv.
@@ -69,13 +75,22 @@ def convert_corpus(
         ValueError: when nothing in it is a recording, a manifest is damaged, two recordings would
             have one output, or another run is writing to OUT.
     """
+    found = clips_by_collection(Path(folder))
+    left_out = recordings_left_out(Path(folder), found)
+    if left_out:
+        logger.warning(
+            "%s: %d recordings were left out; %s says why: %s",
+            folder, len(left_out), Path(out) / "report.csv",
+            ", ".join(clip.name for clip, _ in left_out[:5]),
+        )  # fmt: skip
     return convert_clips(
-        clips_by_collection(Path(folder)),
+        found,
         out,
         processes=processes,
         body=body,
         calibration=calibration,
         overwrite=overwrite,
+        left_out=[{**rejected_row(*one), "status": "rejected"} for one in left_out],
     )
 
 
@@ -87,8 +102,11 @@ def convert_clips(
     body: str | Path | None = None,
     calibration: Callable[..., Any] = calibrate_group,
     overwrite: bool = False,
+    left_out: Sequence[Row] = (),
 ) -> list[Row]:
     """Convert the given clips of collections, as `convert_corpus` does.
+
+    `left_out` are rows of other recordings for the report.
 
     Raises:
         ValueError: when another run is writing to OUT.
@@ -100,7 +118,9 @@ def convert_clips(
         write_report(out, [])
     with open_log(out / "log.jsonl") as log:
         every = [clip for clips in found for clip in clips]
-        work = _Conversion(out, log, settings, processes, body, every, calibration, overwrite)
+        work = _Conversion(
+            out, log, settings, processes, body, every, calibration, overwrite, left_out
+        )
         for clips in found:
             work.convert(clips)
             logger.info("%s: done", clips[0].collection)
@@ -122,6 +142,8 @@ class _Conversion:
     calibrate: Callable[..., Any]
     """`calibrate_group`."""
     overwrite: bool
+    left_out: Sequence[Row]
+    """Rows of recordings that are no clips."""
     ended: dict[str, Record] = field(default_factory=dict)
     """What became of the clips, by their ids."""
     reported: float = 0.0
@@ -278,12 +300,13 @@ class _Conversion:
             self.report()
 
     def rows(self) -> list[Row]:
-        """The rows of the report for all clips so far."""
-        return [
+        """The rows of the report for all clips so far, and for recordings that are no clips."""
+        ended = [
             {**row, "status": record["status"]}
             for record in self.ended.values()
             for row in record["rows"]
         ]
+        return [*ended, *self.left_out]
 
     def report(self) -> None:
         """Write the report; log a warning about motions whose recordings no longer exist."""

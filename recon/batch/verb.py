@@ -154,10 +154,11 @@ def convert_all(
 
     Run it again to continue. Exit code 1 says that something went wrong with some; those that are
     too short or of an unknown skeleton are rejected, which is in the report alone. Unit, axis and
-    rate are taken from each file.
+    rate are taken from each file. Files of markers (.c3d, .trc, .mat) are left out, which the
+    report tells: convert each by `recon convert`, in a loop, or fit many by `recon batch`.
 
     Args:
-        recordings: folder of recordings (.bvh, .amc, .c3d, .trc, .mat, also .xz).
+        recordings: folder of skeleton recordings (.bvh, .amc, also .xz).
         out: folder for the motions and the report.
         body: a SMPL-family file of your own; default: the bundled body.
         processes: clips at a time.

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core import rotations as so3
+from recon.core.arrays import usable_frame_rate
 from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 
@@ -82,7 +83,18 @@ class Motion(TensorStruct):
         return self.start_time + self.duration
 
     def window(self, start: int, stop: int) -> "Motion":
-        """Return frames start, ..., stop - 1 as a motion that keeps their times."""
+        """Return frames start, ..., stop - 1 as a motion that keeps their times.
+
+        A window that reaches beyond the last frame ends with it.
+
+        Raises:
+            ValueError: when it begins outside the motion, or ends before it begins.
+        """
+        if not 0 <= start <= min(stop, self.frames):
+            raise ReconError(
+                f"expected a window that begins within frames 0 to {self.frames} and ends no "
+                f"sooner, got {start} to {stop}; frames are not counted from the end"
+            )
         return self.replace(
             translation=self.translation[..., start:stop, :],
             rotations=self.rotations[..., start:stop, :, :, :],
@@ -143,7 +155,11 @@ class Motion(TensorStruct):
         """Interpolate the motion at another frame rate (Hz), from the same start time.
 
         The last frame is at most `duration` (s) after the first, by default the motion's duration.
+
+        Raises:
+            ValueError: when the rate is none.
         """
+        fps = usable_frame_rate(fps, "fps")
         count = int((self.duration if duration is None else duration) * fps + 1e-6) + 1
         if fps == self.fps and count == self.frames:
             return self

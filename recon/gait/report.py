@@ -176,7 +176,7 @@ def report_file(
     Args:
         trial: recording, or motion file of `recon fit` or `recon convert`, whose report is read,
             too.
-        out: page to write; default: the trial's name with .html, in this folder.
+        out: page to write; default: the trial's name with .html for its ending, in this folder.
         unit: of a recording; default: found out.
         up: axis of a recording that points up, or down; default: found out.
         hand: handedness of a recording's coordinates; default: found out.
@@ -187,7 +187,9 @@ def report_file(
         FileNotFoundError, ValueError: as `recon.report`; nothing is written then.
         FileExistsError: when a file is there and recon did not write it, unless `overwrite`.
     """
-    page = Path(f"{trial.name.partition('.')[0]}.html") if out is None else out
+    # only the ending goes: walk.1.c3d and walk.2.c3d have pages of their own
+    name = Path(trial.name.rpartition("::")[2].removesuffix(".xz")).stem
+    page = Path(f"{name}.html") if out is None else out
     read = recording_files(trial) + ([] if mapping is None else [mapping])
     check_outputs(outputs_of(page), read, overwrite=overwrite)
     matplotlib()

@@ -42,6 +42,12 @@ def session_body_file(folder: Path) -> Path | None:
     return next((files[0] for files in found if files), None)
 
 
+def session_hand_files(body: Path) -> list[Path]:
+    """Return the files of both hands beside the file of a session's body, or none of them."""
+    found = [body.with_name(body.name.replace("body", f"{side}_hand", 1)) for side in SIDES]
+    return found if all(one.exists() for one in found) else []
+
+
 def session_time_stamps(folder: Path) -> Path | None:
     """Return the file with the time stamps of a FreeMoCap session's frames, or None."""
     places = (folder, folder / "output_data", folder.parent)
@@ -83,8 +89,8 @@ def read_session(folder: Path) -> Points3D:
 def _with_session_hands(points: Points3D, path: Path) -> Points3D:
     """Add the hand points of a session's other files to MediaPipe's points of the body."""
     layout = LAYOUTS["mediapipe33"]
-    parts = [path.with_name(path.name.replace("body", f"{side}_hand", 1)) for side in SIDES]
-    if points.positions.shape[1] != len(layout) or not all(one.exists() for one in parts):
+    parts = session_hand_files(path)
+    if points.positions.shape[1] != len(layout) or not parts:
         return points
     hands = [(read_array if one.suffix == ".npy" else read_table)(one).positions for one in parts]
     if any(one.shape != (len(points.positions), 21, 3) for one in hands):

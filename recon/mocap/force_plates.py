@@ -179,7 +179,7 @@ def _wrench(
     rows = channels[plate, : _CHANNELS[kind]] if len(channels) > plate else np.zeros(0, int)
     if len(rows) < _CHANNELS[kind] or not 0 <= rows.min() <= rows.max() < analog.values.shape[-1]:
         raise FormatError("the file lacks the plate's channels")
-    values = _frame_means(analog, rows)
+    values = _frame_means(analog, rows, kind)
     words = [word.lower() for word in analog.texts("ANALOG", "UNITS")]
     last = words[rows[-1]] if len(words) > rows[-1] else ""
     lever = 1e-3 if "mm" in last else 1.0 if "m" in last and "v" not in last else metres
@@ -206,10 +206,13 @@ def _wrench(
     return np.concatenate((force, moment, np.cross(force, surface)), -1)
 
 
-def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, "time channels"]:
+def _frame_means(
+    analog: AnalogChannels, rows: np.ndarray, kind: int
+) -> Float[np.ndarray, "time channels"]:
     """Return channels' mean signals around every frame, minus their values without load.
 
-    FORCE_PLATFORM:ZERO names the samples of an empty plate, from 1; 0 is none.
+    FORCE_PLATFORM:ZERO names the samples of an empty plate, from 1; 0 is none. The centre of
+    pressure, which plates of type 1 state, has no value without load, and stays as it is.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -219,6 +222,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
     span = analog.numbers("FORCE_PLATFORM", "ZERO", -1).astype(int)
     if len(span) >= 2 and 1 <= span[0] <= span[1] <= len(flat):
         empty = flat[span[0] - 1 : span[1]].mean(0)
+        empty[3:5] *= kind != 1
         # subtract the unloaded signal, unless somebody already stood on the plate
         flat = flat - empty if np.abs(empty[:3]).max() < BASELINE_N else flat
     return uniform_filter1d(flat, samples, axis=0, mode="nearest")[::samples]

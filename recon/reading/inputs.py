@@ -15,7 +15,7 @@ from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.scans import cloud_files
-from recon.keypoints3d.reader import session_body_file, session_time_stamps
+from recon.keypoints3d.reader import session_body_file, session_hand_files, session_time_stamps
 from recon.mocap.asf_amc import recording_files
 from recon.reading.places import files_of_views
 
@@ -63,8 +63,8 @@ def observation_input(path: Path) -> InputFiles:
     if holds_sam3d_body(path):
         return InputFiles(path, _files_inside(path, (".npz",)))
     if session := session_body_file(path):
-        stamps = session_time_stamps(path)
-        return InputFiles(path, (session, *([] if stamps is None else [stamps])))
+        every = (session, *session_hand_files(session), session_time_stamps(path))
+        return InputFiles(path, tuple(one for one in every if one is not None))
     try:
         if (project := project_at(path)) is None:
             if frames := tuple(cloud_files(path)) or _files_inside(path, _IMAGES):

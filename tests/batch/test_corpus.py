@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.batch.collection import clips_by_collection, contents_of_clips
+from recon.batch.collection import clips_by_collection, contents_of_clips, recordings_left_out
 from recon.batch.corpus import convert_corpus
 from recon.batch.worklog import read_log
 from recon.benchmark.dataset import Splits, clip_files
@@ -86,6 +86,28 @@ def test_recordings_that_would_be_one_output_are_refused(files, tmp_path):
     touched(tmp_path / "in", *files)
     with pytest.raises(ValueError, match=r"would both be written as in/.*rename one"):
         clips_by_collection(tmp_path / "in")
+
+
+def test_recordings_that_are_no_skeletons_are_told(tmp_path, caplog):
+    """The help promised that markers are converted; they were left out in silence."""
+    names = ("a.bvh", "s/walk.c3d", "T.TRC", "all.tar.xz", "notes.txt", "table.csv")
+    touched(tmp_path / "in", *names)
+    rows = convert_corpus(tmp_path / "in", tmp_path / "out", processes=1, calibration=unknown)
+    said = {str(row["clip"]): row for row in rows}
+    assert set(said) == {"a", "s/walk.c3d", "T.TRC", "all.tar.xz"}
+    assert said["s/walk.c3d"]["status"] == "rejected"
+    assert "recon batch" in str(said["T.TRC"]["reason"])
+    assert "manifest.csv" in str(said["all.tar.xz"]["reason"])
+    assert json.loads((tmp_path / "out" / "report.json").read_text())[0]["clip"] == "T.TRC"
+    assert "3 recordings were left out" in caplog.text
+    (tmp_path / "in" / "manifest.csv").write_text("path\na.bvh\n")
+    touched(tmp_path / "in", "b.bvh")
+    found = clips_by_collection(tmp_path / "in")
+    left = {clip.name: why for clip, why in recordings_left_out(tmp_path / "in", found)}
+    assert "no row of" in left["b.bvh"]
+    (tmp_path / "in" / "manifest.csv").unlink()
+    with pytest.raises(ValueError, match="markers are converted one by one"):
+        clips_by_collection(tmp_path / "in" / "s")
 
 
 def test_a_collection_beside_one_of_the_same_name_is_refused_where_clips_meet(tmp_path):

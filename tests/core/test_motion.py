@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.motion import Motion, padded_batch
 from recon.core.struct import stack
 
@@ -62,6 +63,19 @@ def test_a_window_is_the_motion_at_its_own_times():
     part = wave().window(10, 20)
     assert part.frames == 10
     assert torch.allclose(part.translation, wave().at(part.times, 30.0).translation, atol=1e-9)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(-2, 4), (1, -1), (4, 2), (99, 109)])
+def test_windows_outside_are_refused(start, stop):
+    """A negative start gave the right frames at wrong times."""
+    with pytest.raises(ReconError, match=f"got {start} to {stop}"):
+        wave().window(start, stop)
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf"), 1e9])
+def test_rates_that_are_none_are_refused(fps):
+    with pytest.raises(ReconError, match="fps"):
+        wave().resample(fps)
 
 
 def test_unequal_clips_become_one_batch_that_knows_what_exists():

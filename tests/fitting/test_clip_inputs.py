@@ -23,12 +23,17 @@ def written(folder: Path, *names: str) -> Path:
     return folder
 
 
+PARTS = ("body", "left_hand", "right_hand")
 FOLDERS = {
     "scans": (("scan_1.ply", "scan_2.PLY", "times.csv"), ("video.mp4", "notes.txt", "other.csv")),
-    "depth": (("1.png", "2.png", "times.csv"), ("video.mp4", "other.csv")),
+    "depth": (("1.png", "2.png", "times.csv"), ("video.mp4",)),
     "detections": (("cam_1.json", "cam_2.json"), ("video.mp4", "old/cam_1.json")),
     "views": (("a/1.json", "b/1.json"), ("a/video.mp4", "video.avi")),
     "tables": (("a.csv", "b.csv"), ("a.avi",)),
+    "session": (
+        ("a_by_frame.csv", *(f"output_data/mediapipe_{part}_3d_xyz.npy" for part in PARTS)),
+        ("a.mp4", "output_data/face.npy"),
+    ),
     "project": (("pose/a/1.json", "pose/b/1.json"), ("videos/a.mp4", "pose/a/1.txt")),
 }
 

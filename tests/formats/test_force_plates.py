@@ -52,6 +52,8 @@ def write_plate(path: Path, kind: int, *, moments: float = 1000.0, unit="Nmm", *
     values = np.zeros((1, len(numbers), FRAMES * SAMPLES))
     values[0, :, 10 * SAMPLES :] = numbers[:, None] * more.get("sign", 1.0)
     values[0, 0] += 5
+    if kind == 1:
+        values[0, 3:5, : 10 * SAMPLES] = more.get("centre", 0.0)
     c3d = ezc3d.c3d()
     c3d["parameters"]["POINT"]["RATE"]["value"] = [RATE]
     c3d["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
@@ -91,6 +93,11 @@ def test_every_type_tells_force_centre_and_twist(tmp_path: Path, kind: int) -> N
     assert found.torque[late, 0] == pytest.approx(TWIST[2], abs=1e-3)
     assert not found.force[:9].any()
     assert not found.centre[:9].any()
+
+
+def test_a_centre_of_pressure_that_is_stated_without_load_shifts_none(tmp_path: Path) -> None:
+    found = read_force_plates(write_plate(tmp_path / "one.c3d", 1, centre=120.0))
+    assert found.centre[-1, 0] == pytest.approx(PLACE + CORNERS.mean(0), abs=1e-5)
 
 
 def test_moments_in_another_unit_and_forces_on_the_plate_are_put_right(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from recon.body.motion_files import load_motion_of
 from recon.formats.reports import report_text
 from recon.gait.analysis import CURVES
 from recon.gait.laboratory import LaboratoryReport
+from recon.gait.report import report_file
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 
@@ -126,6 +127,17 @@ def test_the_command_writes_page_table_and_reports(tmp_path):
     (tmp_path / "gait.csv").write_text("somebody's")
     with pytest.raises(FileExistsError, match="overwrite"):
         recon.report(DEMO).save(out)
+
+
+def test_trials_whose_names_have_dots_get_pages_of_their_own(tmp_path, monkeypatch, found):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("recon.gait.report.report", lambda *_, **__: found)
+    for name in ("walk.1.npz", "walk.2.npz", "run.bvh.xz", "all.mat"):
+        (tmp_path / name).touch()
+        report_file(Path(name if name != "all.mat" else "all.mat::jump"))
+    pages = sorted(path.name for path in tmp_path.glob("*.html"))
+    assert pages == ["jump.html", "run.html", "walk.1.html", "walk.2.html"]
 
 
 def test_without_matplotlib_it_says_what_to_install(found, monkeypatch):

@@ -12,6 +12,7 @@ from observations.markers3d import Markers3D
 from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, pose_looking_at
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.method.protocols import Estimate
 
@@ -225,3 +226,17 @@ def test_derived_records_are_not_checked_again(monkeypatch):
     monkeypatch.setattr(Camera, "__post_init__", lambda _: called.append("camera"))
     _evaluated(observation[[0]].to(dtype=torch.float32).window(0.0, 0.1))
     assert called == []
+
+
+def test_markers_on_vertices_that_no_body_has_are_refused():
+    """A fit ended in an IndexError."""
+    values, seen = np.zeros((2, 2, 3)), np.ones((2, 2), bool)
+    last = len(BODY.template) - 1
+    assert len(Markers3D(values, seen, (0, last), 30.0).bones(BODY)) == 2
+    strange = Markers3D(values, seen, (0, last + 1), 30.0)
+    shape = torch.zeros(BODY.shape_size)
+    for use in (strange.bones, strange.at_rest, lambda body: strange.on_bones(body, shape)):
+        with pytest.raises(ObservationError, match=f"vertices.* 0 to {last}, got {last + 1}"):
+            use(BODY)
+    with pytest.raises(ObservationError, match="labels: expected a label for each of the 2"):
+        Markers3D(values, seen, (0, 1), 30.0, labels=("a",))
