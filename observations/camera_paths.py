@@ -18,7 +18,6 @@ from observations.start.rigid import rigid_start, with_limbs_towards_points
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
-from recon.method.sensor import Sensor
 
 _LAG = 0.13
 """Seconds over which velocities are taken."""
@@ -28,8 +27,6 @@ _FEET = ("left_ankle", "right_ankle")
 _TRIED = np.geomspace(0.01, 30.0, 120)
 """Extents of the camera's path over the distance of the person that are tried."""
 _CLOSER = np.geomspace(0.95, 1.05, 41)
-_ONE_FRAME = 0.05
-"""Frames by which moments of two views may differ that are one frame."""
 _MIN_EXTENT = 1e-6
 """Extent of a path, in its own unit, below which the camera only turns, and no unit matters."""
 
@@ -157,35 +154,6 @@ def triangulate(
     solvable = torch.where(exists[..., None, None], matrix, torch.eye(3).to(matrix)).double()
     points = torch.linalg.solve(solvable, vector.double()[..., None])[..., 0].to(vector)
     return torch.where(exists[..., None], points, 0.0), exists
-
-
-def on_common_clock(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Pad views of fixed cameras with empty frames to the time of all that share their frames.
-
-    So films that begin or end at different moments are compared with each other. Views of another
-    rate, or whose frames lie between those of the first, stay as they are.
-    """
-    out = list(observations)
-    fixed = [k for k, one in enumerate(out)
-             if one.view and one.view.camera.T_camera_world.shape[-3] == 1]  # fmt: skip
-    start = min((out[k].start_time for k in fixed), default=0.0)
-    first = {k: (out[k].start_time - start) * out[k].fps for k in fixed}
-    shared = [k for k in fixed if out[k].fps == out[fixed[0]].fps
-              and abs(first[k] - round(first[k])) < _ONE_FRAME]  # fmt: skip
-    total = max((round(first[k]) + out[k].moments for k in shared), default=0)
-    for k in shared:
-        before, axis = round(first[k]), len(out[k].clips)
-        after = total - before - out[k].moments
-        if before + after > 0:
-            own = out[k].map_frames(lambda x, b=before, a=after, n=axis: _padded(x, n, b, a))
-            out[k] = out[k].derived(start_time=start, **own)
-    return tuple(out)
-
-
-def _padded(values: Tensor, axis: int, before: int, after: int) -> Tensor:
-    """Return values with frames of zeros before and after."""
-    sides = [0, 0] * (values.ndim - 1 - axis)
-    return torch.nn.functional.pad(values, (*sides, before, after))
 
 
 def views_on_one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:

@@ -1,6 +1,5 @@
 """The first guess of a fit: from all observations of a clip together, or the caller's motion."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -56,31 +55,6 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         posed = clouds[0].start(body)
         return FirstGuess(_copy_poses(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
-
-
-def _over_all_data(motion: Motion, observations: Sequence[Sensor], body: BodyModel) -> Motion:
-    """Return a motion that also lasts while only other sensors saw the person.
-
-    There it is the guess of a sensor that measures the surface, or at rest.
-    """
-    ends = [one.start_time + one.duration for one in observations]
-    early = motion.start_time - min(one.start_time for one in observations)
-    late = max(ends) - motion.stop_time
-    before, after = (max(0, math.ceil(x * motion.fps - 0.5)) for x in (early, late))
-    if before + after == 0 or not bool(motion.valid.all()):
-        return motion
-    start = motion.start_time - before / motion.fps
-    times = start + torch.arange(before + motion.frames + after, dtype=torch.float64) / motion.fps
-    found = motion.at(times.clamp(motion.start_time, motion.stop_time), motion.fps)
-    found = found.replace(start_time=start)
-    for cloud in [one.cloud for one in observations if one.cloud]:
-        guess = cloud.start(body)
-        own = (times >= guess.start_time) & (times <= guess.stop_time)
-        own &= (times < motion.start_time) | (times > motion.stop_time)
-        part = guess.at(times[own], motion.fps)
-        found.translation[..., own, :] = part.translation
-        found.rotations[..., own, :, :, :] = part.rotations
-    return found
 
 
 def _copy_poses(posed: Motion, placed: Motion) -> Motion:
@@ -143,7 +117,10 @@ def with_first_guess(
     else:
         seen = tuple(observations)
         guess = FirstGuess(checked_start(start, seen, body), True)
-    guess = replace(guess, motion=_over_all_data(guess.motion, seen, body))
+    if len(seen) > 1:  # imported only for several sensors
+        from observations.common_clock import over_all_data
+
+        guess = replace(guess, motion=over_all_data(guess.motion, seen, body))
     if shape is None:
         return seen, guess
     known = shape.to(guess.motion.shape).expand_as(guess.motion.shape)

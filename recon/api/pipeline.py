@@ -103,7 +103,7 @@ def fit_and_check(
             fit them; says what to do.
     """
     if len(views_of(observations)) > 1:  # imported only for several views
-        from observations.camera_paths import on_common_clock
+        from observations.common_clock import on_common_clock
 
         observations = on_common_clock(observations)
     clip = CheckedClip(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from observations.camera_paths import on_common_clock
+from observations.common_clock import on_common_clock
 from observations.depth import PointCloud
 from observations.first_guess import with_first_guess
 from observations.joints3d import Joints3D
@@ -135,6 +135,8 @@ def test_a_motion_lasts_as_long_as_all_sensors_together():
     assert guess.motion.frames == 46
     _, again = with_first_guess((late, early), bundled(), guess.motion, None)
     assert again.motion.frames == 46
+    with pytest.raises(ValueError, match="on one clock"):
+        with_first_guess((late.derived(start_time=1.7e9), early), bundled(), None, None)
 
 
 def test_scans_without_a_floor_keep_their_vertical():
