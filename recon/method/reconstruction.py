@@ -83,10 +83,12 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
 
 
 def _covers(start: Motion, seen: Sequence[Sensor]) -> bool:
-    """Return whether a motion covers the time of all observations to within about a frame."""
+    """Return whether a motion covers the time of all observations to within half a frame."""
     begin = min(one.start_time for one in seen)
     end = max(one.start_time + one.duration for one in seen)
-    return max(abs(start.start_time - begin), abs(start.stop_time - end)) * start.fps <= 1 + _SLACK
+    return (
+        max(abs(start.start_time - begin), abs(start.stop_time - end)) * start.fps <= 0.5 + _SLACK
+    )
 
 
 @dataclass(frozen=True)
