@@ -105,7 +105,7 @@ def test_landmarks_are_completed_from_the_command_line(settings, tmp_path, capsy
     assert cli.run([*line[:4], "--prior", "pose"]) == cli.BAD_INPUT
     assert "recon fit --prior pose" in capsys.readouterr().err
     assert cli.run([*line[:4], "--weights", settings.weights, "--overwrite"]) == cli.BAD_INPUT
-    assert "--prior anchor" in capsys.readouterr().err
+    assert "expected humor weights, but it holds 'anchor'" in capsys.readouterr().err
 
 
 def test_a_folder_of_few_scans_at_odd_times_named_in_any_order(settings, scans, tmp_path):
