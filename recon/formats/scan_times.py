@@ -218,10 +218,14 @@ def read_times(
     ]
     rows = [row for row in rows if row != [""]]
     heading = rows.pop(0)[-1].lower() if rows and not _is_number(rows[0][-1]) else ""
+    if heading.startswith("frame"):
+        raise FormatError(f"{path}: expected times in seconds, got the column {heading!r}")
     if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
         raise FormatError(f"{path}: expected a line per file, its time in s, or its name and time")
     if named := any(len(row) == 2 for row in rows):
         time_of = {Path(row[0]).name: float(row[-1]) for row in rows}
+        if len(time_of) < len({(Path(row[0]).name, float(row[-1])) for row in rows}):
+            raise FormatError(f"{path}: expected one time for every file, got several for some")
         if missing := [file.name for file in files if file.name not in time_of]:
             raise FormatError(f"{path}: has no time for {', '.join(missing[:5])}")
         times = np.array([time_of[file.name] for file in files])

@@ -128,6 +128,8 @@ def test_times_leave_dropped_frames_empty(tmp_path):
         ("0\n1\n2.5\n400\n", "evenly spaced"),
         ("0\n0.4\n0.401\n0.7\n", "leave one of the two out"),
         ("0.ply,0\n", "no time for 1.ply"),
+        ("0.ply,0\n0.ply,1\n1.ply,2\n2.ply,3\n3.ply,4\n", "one time for every file"),
+        ("file,frame\n0.ply,0\n1.ply,3\n2.ply,6\n3.ply,9\n", "the column 'frame'"),
     ):
         (tmp_path / "times.csv").write_text(text)
         with pytest.raises(ValueError, match=message):
