@@ -137,7 +137,7 @@ POINTS = 4096
 """Most points that are kept of a frame by default."""
 _NEIGHBOURS = 16
 """Number of nearest points whose mean distance tells whether a point is an outlier."""
-_SEARCHED = 500_000
+_SEARCHED = 100_000
 """Most points of a frame among which outliers are searched; denser clouds are first sampled."""
 
 
@@ -300,15 +300,24 @@ def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np
     return distance > distance.mean() + deviations * distance.std()
 
 
+_LOOKED_AT, _REPEATED = 400, 0.05
+"""Points of a cloud that are looked at, and share of them at one place that no surface has."""
+
+
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Read a cloud or mesh; if several points are zero (pixels without depth), leave these out.
+    """Read a cloud or mesh without pixels that lack depth: several zeros, or one place repeated.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
     """
     found = {**CLOUDS, **_TABLES}[path.suffix.lower()](path)
     measured = (found != 0).any(1)
-    return found[measured] if (~measured).sum() > 1 else found
+    found = found[measured] if (~measured).sum() > 1 else found
+    some = found[:: len(found) // _LOOKED_AT + 1]
+    places, counts = np.unique(some, axis=0, return_counts=True)
+    for place in places[counts > _REPEATED * len(some)] if len(some) > _LOOKED_AT / 2 else ():
+        found = found[(found != place).any(1)]
+    return found
 
 
 def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:

@@ -9,7 +9,7 @@ import pytest
 from recon.formats.depth_images import read_depth_images
 from recon.formats.observations import CameraArrays
 from recon.formats.pcd import read_pcd
-from recon.formats.scans import read_scans, write_ply
+from recon.formats.scans import read_cloud, read_scans, write_ply
 
 HEADER = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
 
@@ -281,3 +281,10 @@ def test_depth_images_of_another_sensor_are_refused(images):
     (folder / "depth" / "3.png").write_bytes(b"no image")
     with pytest.raises(ValueError, match="damaged"):
         read_depth_images(folder / "depth", camera, fps=30.0)
+
+
+def test_pixels_without_depth_may_all_have_one_place(tmp_path):
+    """Half of the points lay at the sensor, and the body was fitted between them: 3 m off."""
+    points = person(0)
+    write_ply(tmp_path / "0.ply", np.concatenate((points, np.full((200, 3), -1.0))))
+    assert len(read_cloud(tmp_path / "0.ply")) == len(points)
