@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -14,11 +15,11 @@ from recon.method.sensor import Sensor
 _LONGEST_PAUSE_S = 30.0
 """Seconds that may lie between the end of one sensor's data and the beginning of another's."""
 _ONE_FRAME = 0.05
-"""Frames by which moments of two views may differ that are one frame."""
+"""Largest difference, in frames, of moments of two views that count as one frame."""
 
 
 def on_common_clock(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Pad views of fixed cameras with empty frames to the time of all that share their frames.
+    """Pad views of fixed cameras with empty frames, so that all begin and end at the same time.
 
     So films that begin or end at different moments are compared with each other. Views of another
     rate, or whose frames lie between those of the first, stay as they are.
@@ -33,24 +34,23 @@ def on_common_clock(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
               and abs(first[k] - round(first[k])) < _ONE_FRAME]  # fmt: skip
     total = max((round(first[k]) + out[k].moments for k in shared), default=0)
     for k in shared:
-        before, axis = round(first[k]), len(out[k].clips)
-        after = total - before - out[k].moments
+        one, before = out[k], round(first[k])
+        after = total - before - one.moments
         if before + after > 0:
-            own = out[k].map_frames(lambda x, b=before, a=after, n=axis: _padded(x, n, b, a))
-            out[k] = out[k].derived(start_time=start, **own)
+            pad = partial(_padded, axis=len(one.clips), before=before, after=after)
+            out[k] = one.derived(start_time=start, **one.map_frames(pad))
     return tuple(out)
 
 
-def _padded(values: Tensor, axis: int, before: int, after: int) -> Tensor:
+def _padded(values: Tensor, *, axis: int, before: int, after: int) -> Tensor:
     """Return values with frames of zeros before and after."""
-    sides = [0, 0] * (values.ndim - 1 - axis)
-    return torch.nn.functional.pad(values, (*sides, before, after))
+    return torch.nn.functional.pad(values, (*[0, 0] * (values.ndim - 1 - axis), before, after))
 
 
 def over_all_data(motion: Motion, observations: Sequence[Sensor], body: BodyModel) -> Motion:
     """Return a motion that also lasts while only other sensors saw the person.
 
-    There it is the guess of a sensor that measures the surface, or at rest.
+    At these times it is the guess of a sensor that measures the surface, or the nearest pose.
 
     Raises:
         ObservationError: when no sensor saw anything for longer than `_LONGEST_PAUSE_S`, as if

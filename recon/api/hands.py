@@ -36,7 +36,7 @@ _ONE_VIEW = 2.0
 others: nine tenths of the errors are below 1.645 of them in the twenty poses (of the tests'
 `poses.csv`) that it was chosen for, 85 % in the twenty others."""
 _SAME_TIME = 0.02
-"""Frames of a sensor from one of its frames within which a time counts as that frame's."""
+"""Distance of a time from a sensor's frame, in frames, up to which it is that frame's time."""
 _KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
 
 
@@ -153,7 +153,7 @@ def _hands_at_frames(
 def _neighbouring_frames(
     times: Float[Tensor, " time"], sensor: Any, *, nearest: bool
 ) -> tuple[Int[Tensor, "2 time"], Float[Tensor, "2 time"]]:
-    """Return the sensor's frames before and after each time, and their shares in it.
+    """Return the sensor's frames before and after each time, and weights to interpolate them.
 
     With `nearest`, or at the time of a frame, both are the nearest frame.
     """

@@ -28,9 +28,9 @@ EXPECTED = (
     "(image_id with keypoints) or MediaPipe (landmarks)"
 )
 """What is read, in messages."""
-_COCO_RANGE = 6.0
-"""AlphaPose's scores run to 6 for COCO models, to 1 for others."""
-_SURELY_TO_SIX = 1.5
+_COCO_RANGE, _SURELY_TO_SIX = 6.0, 1.5
+"""AlphaPose's scores run to 6 for COCO models, to 1 for others; and the score that a tenth of a
+file's scores exceeds only where they run to 6."""
 _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""
 _SCORES = ("keypoint_scores", "scores")

@@ -29,7 +29,7 @@ _EMPTY, _SHORT = 8, 20_000
 """Most frames of a clock per frame with data, and number of frames that is always allowed: empty
 frames take memory, too."""
 _USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
-"""Rates of recordings, Hz, and what times that are no seconds count in a second."""
+"""Rates of recordings, Hz, and how many milli-, micro- and nanoseconds a second has."""
 _SLOWEST = 0.125
 """Rate of scans, Hz, from which on they show a motion: at it, a person walks 10 m between two."""
 _PARTS = {"": 1.0, "m": 1e3, "milli": 1e3, "u": 1e6, "micro": 1e6, "n": 1e9, "nano": 1e9}
@@ -38,7 +38,7 @@ _UNIT = re.compile(r"(?:^|[^a-z])(milli|micro|nano|[mun]|)s(?:ec(?:ond)?s?)?[)\]
 _SECONDS = re.compile(r"(\d{1,10})(\.|(?<=\d{9})_)(\d{1,9})")
 """Matches names with a time: 0.667, or 1617012345_900000000 of seconds and nanoseconds."""
 _OFF_RATE = 0.05
-"""Part by which the frame rate of times in names may be off the one that is given."""
+"""Share by which the frame rate of times in names may differ from the given one."""
 
 
 def ticks_per_second(rate: float, slowest: float = _USUAL_RATES[0]) -> float:

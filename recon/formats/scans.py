@@ -301,7 +301,8 @@ def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np
 
 
 _LOOKED_AT, _REPEATED = 400, 0.05
-"""Points of a cloud that are looked at, and share of them at one place that no surface has."""
+"""Number of points of a cloud that are compared, and share of them at one place above which they
+are pixels without depth."""
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:

@@ -238,7 +238,7 @@ def markers_in_metres(
 
 
 def _numbered(labels: Sequence[str], shown: Sequence[int]) -> tuple[list[str], tuple[str, ...]]:
-    """Number labels that repeat, given in how many frames each is seen; say if there are any."""
+    """Number labels that repeat, those of the copy seen in most frames first; note if any do."""
     times = Counter(labels)
     copies = [labels[:k].count(label) for k, label in enumerate(labels)]
     total = Counter[int]()
@@ -367,9 +367,9 @@ def head_to_foot_length(
 ) -> float:
     """Longest path along the bones from a head joint to a foot joint, in the offsets' unit.
 
-    It does not depend on the pose. Where no name says head, it begins at any joint of the trunk:
-    one that no joint of a left or right limb is or lies above. Where no names tell limbs or feet
-    either, it is the longest path between any two joints, from foot to fingertip: 1.4 times that.
+    It does not depend on the pose. Where no name says head, it begins at any joint of the trunk,
+    whose name and whose parents' names have no side. Where no names tell limbs or feet either, it
+    is the longest path between any two joints, from foot to fingertip, which is 1.4 times as long.
     """
     words = [name.lower().split(":")[-1] for name in names]
     heads = [j for j, word in enumerate(words) if "head" in word]
