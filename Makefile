@@ -59,7 +59,8 @@ clients: .venv/developed
 	$(OUT)/clients/opensim/bin/pip install --quiet opensim==4.6 usd-core==26.11
 	$(PYTHON) -m venv $(OUT)/clients/blender
 	$(OUT)/clients/blender/bin/pip install --quiet bpy==5.0.1
-	npm install --silent --prefix $(OUT)/clients/node three@0.187.0 gltf-validator@2.0.0-dev.3.10
+	npm install --silent --prefix $(OUT)/clients/node three@0.187.0 gltf-validator@2.0.0-dev.3.10 \
+		@pixiv/three-vrm@3.5.5 @pixiv/three-vrm-animation@3.5.5
 	$(BIN)/python -m benchmarks.clients --python $(OUT)/clients/opensim/bin/python \
 		--blender $(OUT)/clients/blender/bin/python --node $(OUT)/clients/node/node_modules \
 		--out benchmarks/results

@@ -4,33 +4,38 @@
         --node CLIENTS/node_modules --out benchmarks/results
 
 `make clients` installs these programs and runs this. Every client runs in a process of its own,
-without recon, and returns where it puts the joints, the skin or the segments of the bundled clip;
-the errors against our own body are written with the versions of the clients. The exit code is 1 if
-an error is above its limit.
+without recon, and returns where it puts the joints, the skin or the segments of the bundled clip,
+with made fingers; the errors against our own body are written with the versions of the clients,
+and again for the names of every other program. The exit code is 1 if an error is above its limit.
 """
 
+import argparse
 import json
+import re
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
 
-import recon
-from benchmarks.protocol import ROOT, Cell, Table, parser, tell
+from benchmarks.protocol import ROOT, Table, parser, tell
+from recon.body.hands import pose_fingers, skin_weights_with_fingers
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.opensim import opensim_axes
 from recon.body.segments import posed_axes
+from recon.core import rotations as so3
+from recon.core.bone_names import BoneNames, joint_names_in
+from recon.core.fingers import HAND_JOINTS, HAND_PARENTS, Hands
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 from recon.core.units import to_z_up
 from recon.export.motion import export_file
 from recon.export.tables import body_places_of_markers, recorded_markers
-from recon.formats.motions import load_motion
+from recon.formats.motions import load_motion, save_motion
 
 _PARENTS = {
     "femur": ("pelvis", "hip"), "tibia": ("femur", "knee"), "foot": ("tibia", "ankle"),
@@ -38,10 +43,6 @@ _PARENTS = {
     "hand": ("forearm", "wrist"),
 }  # fmt: skip
 """Parent of every segment, and the joint at which the segment begins."""
-_FIRST_JOINTS = {
-    "femur": "hip", "tibia": "knee", "foot": "ankle", "toes": "foot", "humerus": "shoulder",
-    "forearm": "elbow", "hand": "wrist",
-}  # fmt: skip
 _MARKED = {"pelvis": "pelvis", "femur": "femur", "tibia": "tibia", "foot": "calcn"}
 """Segments whose markers inverse kinematics follows, and their names in OpenSim's model."""
 
@@ -63,7 +64,7 @@ def segment_sizes(motion: Motion, body: BodyModel) -> dict[str, list[float]]:
         if segment == "thorax":
             return rest[joint_index("spine1")]
         name, end = segment.split("_")
-        return rest[joint_index(f"{'right' if end == 'r' else 'left'}_{_FIRST_JOINTS[name]}")]
+        return rest[joint_index(f"{'right' if end == 'r' else 'left'}_{_PARENTS[name][1]}")]
 
     found = {"torso": (axes["pelvis"].T @ (begin("thorax") - begin("pelvis"))).tolist()}
     for end in "rl":
@@ -78,8 +79,8 @@ def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[f
     """Return BSM's markers on pelvis and legs: the model's body, and the place in its axes (m)."""
     axes = opensim_axes(body, motion.shape)
     rest = body.rest_joints(motion.shape).numpy()
-    segments = {"pelvis": "pelvis"} | {
-        f"{side}_{joint}": f"{name}_{side[0]}"
+    segments = {joint_index("pelvis"): "pelvis"} | {
+        joint_index(f"{side}_{joint}"): f"{name}_{side[0]}"
         for side in ("right", "left")
         for name, joint in (("femur", "hip"), ("tibia", "knee"), ("foot", "ankle"))
     }
@@ -89,15 +90,13 @@ def marker_sizes(motion: Motion, body: BodyModel) -> dict[str, tuple[str, list[f
         shares = body.weights[vertex[0]]
         bone = int(shares.argmax())
         # leave out markers on skin that moves with two bones: no bone alone tells where they are
-        if float(shares[bone]) < 0.9:
+        if float(shares[bone]) < 0.9 or bone not in segments:
             continue
-        for joint, segment in segments.items():
-            if joint_index(joint) != bone:
-                continue
-            begin = spines(motion, body) if segment == "pelvis" else rest[bone]
-            point = body.rest_vertices(motion.shape, vertex).numpy()[0]
-            name = _MARKED[segment.split("_")[0]] + segment.removeprefix(segment.split("_")[0])
-            found[label] = (name, (axes[segment].T @ (point - begin)).tolist())
+        name, *end = segments[bone].split("_")
+        begin = rest[bone] if end else spines(motion, body)
+        point = body.rest_vertices(motion.shape, vertex).numpy()[0]
+        place_in_segment = axes[segments[bone]].T @ (point - begin)
+        found[label] = ("_".join((_MARKED[name], *end)), place_in_segment.tolist())
     return found
 
 
@@ -108,12 +107,12 @@ def spines(motion: Motion, body: BodyModel) -> np.ndarray:
 
 
 HERE = ROOT / "scripts" / "clients"
-DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 MILLIMETRE = 1e-3
 LIMITS = {
     "bvh_blender_mm": 0.1, "bvh_three_mm": 0.1, "gltf_blender_mm": 0.1, "gltf_three_mm": 0.1,
     "fbx_blender_mm": 0.1, "usd_mm": 0.1, "usd_skin_mm": 0.1, "opensim_three_axes_deg": 0.01,
     "opensim_trc_mm": 0.01, "gltf_issues": 0, "usd_messages": 0, "opensim_unknown_coordinates": 2,
+    "vrm_three_mm": 0.1, "vrm_messages": 0, "metarig_deg": 0.01,
 }  # fmt: skip
 """Largest allowed value of each figure that has one; patellae are two coordinates that a skeleton
 without muscles does not have."""
@@ -124,36 +123,58 @@ def main() -> None:
     asks = parser(__doc__)
     asks.add_argument("--python", type=Path, required=True, help="has opensim and usd-core")
     asks.add_argument("--blender", type=Path, required=True, help="has bpy")
-    asks.add_argument("--node", type=Path, required=True, help="has three and gltf-validator")
+    asks.add_argument("--node", type=Path, required=True, help="has three, three-vrm, validator")
     given = asks.parse_args()
-    motion, body = load_motion(DEMO, torch.float64).motion, BodyModel.load()
-    body = body.to(dtype=torch.float64)
+    body = BodyModel.load().to(dtype=torch.float64)
+    demo = ROOT / "recon" / "assets" / "demo.npz"
+    motion = with_fingers(load_motion(demo, torch.float64).motion)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        files = {name: out / f"m.{name}" for name in ("bvh", "glb", "usd", "trc", "mot")}
-        export_file(
-            DEMO, bvh=files["bvh"], glb=files["glb"], usd=files["usd"], trc=files["trc"],
-            mot=files["mot"], markers="bsm", unit="m",
-        )  # fmt: skip
-        found: dict[str, Any] = {}
-        found |= three(given.node, files, motion, body)
-        found |= validated(given.node, files["glb"])
-        found |= blender(given.blender, files, out, motion, body)
-        found |= usd(given.python, files["usd"], out, motion, body)
-        found |= opensim(given.python, files, out, motion, body)
-    rows: list[list[Cell]] = [
-        [name, _told(value), LIMITS.get(name)] for name, value in found.items()
+        save_motion(out / "m.npz", motion)
+        named = {n: read_by_all(given, out, motion, body, n) for n in get_args(BoneNames)}
+        found = {key: value for one in reversed(named.values()) for key, value in one.items()}
+        found |= opensim(given.python, out, motion, body)
+    rows = [
+        [name, value if isinstance(value, int | float) else str(value), LIMITS.get(name)]
+        for name, value in found.items()
     ]
-    columns = (("figure", None), ("value", 6), ("largest allowed", 2))
-    tell(given.out, None, {}, {"clients": Table(columns, rows)})
-    above = [name for name, limit in LIMITS.items() if not found[name] <= limit]
+    compared = [name for name in LIMITS if name in named["vrm"]]
+    each = [[names, *map(one.get, compared)] for names, one in named.items()]
+    tell(given.out, None, {}, {
+        "clients": Table([("figure", None), ("value", 6), ("largest allowed", 2)], rows),
+        "clients-names": Table([("names", None), *((name, 6) for name in compared)], each),
+    })  # fmt: skip
+    above = [
+        f"{names} {name}"
+        for names, one in (named | {"": found}).items()
+        for name, limit in LIMITS.items()
+        if name in one and not one[name] <= limit
+    ]
     if above:
         sys.exit(f"above its limit: {', '.join(above)}")
 
 
-def _told(value: Any) -> Cell:
-    """Return a number as it is, and any other value as text."""
-    return value if isinstance(value, int | float) else str(value)
+ALL = (*JOINTS, *HAND_JOINTS)
+
+
+def with_fingers(motion: Motion) -> Motion:
+    """Let every finger joint swing about its own axis, by about half a radian at most."""
+    axes = np.random.default_rng(0).normal(scale=0.3, size=(len(HAND_JOINTS), 3))
+    phases = np.arange(motion.frames)[:, None] / 10 + np.arange(len(HAND_JOINTS))
+    return motion.replace(hands=Hands(so3.exp(torch.from_numpy(np.sin(phases)[..., None] * axes))))
+
+
+def read_by_all(
+    given: argparse.Namespace, out: Path, motion: Motion, body: BodyModel, names: BoneNames
+) -> dict[str, Any]:
+    """Export the motion with the names of a program, and compare it as every client reads it."""
+    bvh, glb, stage = (out / f"{names}.{ending}" for ending in ("bvh", "glb", "usd"))
+    export_file(out / "m.npz", bvh=bvh, glb=glb, usd=stage, names=names)
+    found = three(given.node, bvh, glb, motion, body, names)
+    found |= vrm(given.node, glb, motion, body) if names == "vrm" else {}
+    found |= validated(given.node, glb)
+    found |= blender(given.blender, bvh, glb, motion, body, names)
+    return found | usd(given.python, stage, motion, body, names)
 
 
 def asked(*command: str | Path) -> dict[str, Any]:
@@ -166,7 +187,15 @@ def asked(*command: str | Path) -> dict[str, Any]:
 
 
 def joints_of(motion: Motion, body: BodyModel) -> np.ndarray:
-    return body.pose(motion).joints.numpy()
+    fingers = pose_fingers(motion, body)[0][:, : len(HAND_JOINTS)]
+    return torch.cat((body.pose(motion).joints, fingers), 1).numpy()
+
+
+def skin_errors(found: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
+    """Return the distances (mm) of the vertices that no finger moves, in every tenth frame."""
+    fixed = skin_weights_with_fingers(motion, body)[0][:, len(JOINTS) :].sum(-1) == 0
+    truth = body.pose(motion).vertices[::10].numpy()
+    return np.linalg.norm(found - truth, axis=-1)[:, fixed] / MILLIMETRE
 
 
 def farthest(found: np.ndarray, truth: np.ndarray) -> float:
@@ -174,16 +203,17 @@ def farthest(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(found - truth, axis=-1).max() / MILLIMETRE)
 
 
-def three(node: Path, files: dict[str, Path], motion: Motion, body: BodyModel) -> dict[str, Any]:
+def three(
+    node: Path, bvh: Path, glb: Path, motion: Motion, body: BodyModel, names: BoneNames
+) -> dict[str, Any]:
     said = asked(
-        "node", HERE / "in_three.mjs", node.resolve(), files["bvh"], files["glb"],
+        "node", HERE / "in_three.mjs", node.resolve(), bvh, glb,
         str(motion.frames), str(motion.fps),
     )  # fmt: skip
     truth, turn = joints_of(motion, body), to_z_up("y")
-    in_bvh = np.stack([said["bvh"][name] for name in JOINTS], 1) / 100 @ turn.T
-    in_gltf = np.stack([said["gltf"][name] for name in JOINTS], 1) @ turn.T
-    skin = np.array(said["skin"]) @ turn.T
-    every = np.linalg.norm(skin - body.pose(motion).vertices.numpy()[::10], axis=-1) / MILLIMETRE
+    in_bvh = np.stack([said["bvh"][name] for name in in_a_bvh(names)], 1) / 100 @ turn.T
+    in_gltf = np.stack([said["gltf"][name] for name in joint_names_in(ALL, names)], 1) @ turn.T
+    every = skin_errors(np.array(said["skin"]) @ turn.T, motion, body)
     return {
         "three": said["version"],
         "bvh_three_mm": farthest(in_bvh, truth),
@@ -195,33 +225,76 @@ def three(node: Path, files: dict[str, Path], motion: Motion, body: BodyModel) -
     }
 
 
+def in_a_bvh(names: BoneNames) -> list[str]:
+    """Return the names of all joints in a BVH, which has Mixamo's without their prefix."""
+    return [name.removeprefix("mixamorig:") for name in joint_names_in(ALL, names)]
+
+
+def vrm(node: Path, glb: Path, motion: Motion, body: BodyModel) -> dict[str, Any]:
+    said = asked(
+        "node", HERE / "in_vrm.mjs", node.resolve(), glb, str(motion.frames), str(motion.fps)
+    )
+    places = np.stack([said["places"][name] for name in joint_names_in(ALL, "vrm")], 1)
+    return {
+        "vrm": said["version"],
+        "vrm_three_mm": farthest(places @ to_z_up("y").T, joints_of(motion, body)),
+        "vrm_messages": len(said["messages"]),
+    }
+
+
 def validated(node: Path, glb: Path) -> dict[str, Any]:
     said = asked("node", HERE / "in_validator.mjs", node.resolve(), glb)
     return {
         "gltf_validator": said["version"],
-        "gltf_issues": len(said["issues"]["messages"]),
-        "gltf_messages": [one["message"] for one in said["issues"]["messages"]][:5],
+        "gltf_issues": len(said["issues"]),
+        "gltf_messages": [one["message"] for one in said["issues"]][:5],
     }
 
 
-def blender(
-    python: Path, files: dict[str, Path], out: Path, motion: Motion, body: BodyModel
-) -> dict[str, Any]:
+def read_in_blender(
+    python: Path, bvh: Path, glb: Path, motion: Motion
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return what Blender says, and where it puts the bones of both files and of an FBX."""
+    out, fbx = (glb.with_suffix(ending) for ending in (".npz", ".fbx"))
     said = asked(
-        python, HERE / "in_blender.py", files["bvh"], files["glb"], out / "blender.npz",
-        out / "m.fbx", str(motion.frames), str(motion.fps),
-    )  # fmt: skip
-    parents = {JOINTS[k]: None if p < 0 else JOINTS[p] for k, p in enumerate(PARENTS)}
-    if said["parents"] != parents:
+        python, HERE / "in_blender.py", bvh, glb, out, fbx, str(motion.frames), str(motion.fps)
+    )
+    with np.load(out) as arrays:
+        return said, dict(arrays)
+
+
+def metarig(python: Path, bvh: Path, motion: Motion, body: BodyModel) -> float:
+    """Return by how much arms and fingers of Rigify's metarig point away from ours, degrees.
+
+    Its arms hang at rest, and its bones have rolls of their own.
+    """
+    glb = bvh.with_name("on_metarig.glb")
+    export_file(bvh.with_name("m.npz"), glb=glb, character=bvh.with_name("metarig.glb"))
+    arrays = read_in_blender(python, bvh, glb, motion)[1]
+    theirs = np.stack([arrays[f"gltf {name}"] for name in joint_names_in(ALL, "rigify")], 1)
+    # a hand's shape is the character's, so knuckles are left out
+    ends = [k for k in range(joint_index("left_elbow"), len(ALL)) if not ALL[k].endswith("1")]
+    both = np.stack((theirs, joints_of(motion, body)))
+    ways = both[:, :, ends] - both[:, :, np.array((*PARENTS, *HAND_PARENTS))[ends]]
+    a, b = ways / np.linalg.norm(ways, axis=-1, keepdims=True)
+    return float(np.rad2deg(2 * np.arcsin(np.linalg.norm(a - b, axis=-1).max() / 2)))
+
+
+def blender(
+    python: Path, bvh: Path, glb: Path, motion: Motion, body: BodyModel, names: BoneNames
+) -> dict[str, Any]:
+    said, arrays = read_in_blender(python, bvh, glb, motion)
+    theirs, of_bvh = joint_names_in(ALL, names), in_a_bvh(names)
+    pairs = zip(of_bvh, (*PARENTS, *HAND_PARENTS), strict=False)
+    tree = {name: None if p < 0 else of_bvh[p] for name, p in pairs}
+    if said["parents"] != tree:
         sys.exit(f"Blender has another hierarchy: {said['parents']}")
-    with np.load(out / "blender.npz") as arrays:
-        found = {
-            kind: np.stack([arrays[f"{kind} {name}"] for name in JOINTS], 1)
-            for kind in ("bvh", "gltf", "fbx")
-        }
-        skin = arrays["gltf skin"]
+    found = {
+        kind: np.stack([arrays[f"{kind} {name}"] for name in of_kind], 1)
+        for kind, of_kind in (("bvh", of_bvh), ("gltf", theirs), ("fbx", theirs))
+    }
+    every = skin_errors(arrays["gltf skin"], motion, body)
     truth = joints_of(motion, body)
-    every = np.linalg.norm(skin - body.pose(motion).vertices.numpy()[::10], axis=-1) / MILLIMETRE
     return {
         "blender": said["version"],
         "bvh_blender_mm": farthest(found["bvh"], truth),
@@ -229,26 +302,31 @@ def blender(
         "fbx_blender_mm": farthest(found["fbx"], truth),
         "gltf_blender_skin_median_mm": float(np.median(every)),
         "gltf_blender_skin_max_mm": float(every.max()),
+        **({"metarig_deg": metarig(python, bvh, motion, body)} if names == "rigify" else {}),
     }
 
 
-def usd(python: Path, path: Path, out: Path, motion: Motion, body: BodyModel) -> dict[str, Any]:
-    said = asked(python, HERE / "in_usd.py", path, out / "usd.npz", str(motion.frames))
-    with np.load(out / "usd.npz") as arrays:
+def usd(
+    python: Path, path: Path, motion: Motion, body: BodyModel, names: BoneNames
+) -> dict[str, Any]:
+    out = path.with_suffix(".npz")
+    said = asked(python, HERE / "in_usd.py", path, out, str(motion.frames))
+    with np.load(out) as arrays:
         joints, skin = arrays["joints"], arrays["skin"]
+    rows = [said["names"].index(re.sub(r"\W", "_", one)) for one in joint_names_in(ALL, names)]
     return {
         "usd": said["version"],
-        "usd_mm": farthest(joints, joints_of(motion, body)),
-        "usd_skin_mm": farthest(skin, body.pose(motion).vertices.numpy()[::10]),
+        "usd_mm": farthest(joints[:, rows], joints_of(motion, body)),
+        "usd_skin_mm": float(skin_errors(skin, motion, body).max()),
         "usd_validators": said["validators"],
         "usd_messages": len(said["messages"]),
         "usd_time_codes": said["time_codes"],
     }
 
 
-def opensim(
-    python: Path, files: dict[str, Path], out: Path, motion: Motion, body: BodyModel
-) -> dict[str, Any]:
+def opensim(python: Path, out: Path, motion: Motion, body: BodyModel) -> dict[str, Any]:
+    trc, mot = out / "m.trc", out / "m.mot"
+    export_file(out / "m.npz", trc=trc, mot=mot, markers="bsm", unit="m")
     frames = list(range(0, motion.frames, 5))
     sizes = {
         "frames": frames,
@@ -257,11 +335,11 @@ def opensim(
     }
     (out / "sizes.json").write_text(json.dumps(sizes))
     said = asked(
-        python, HERE / "in_opensim.py", files["mot"], files["trc"], out / "sizes.json",
+        python, HERE / "in_opensim.py", mot, trc, out / "sizes.json",
         out / "opensim.npz",
     )  # fmt: skip
     truth = turned_segments(motion, body)
-    columns = dict(zip(said["coordinates"], read_mot(files["mot"])[frames].T[1:], strict=True))
+    columns = dict(zip(said["coordinates"], read_mot(mot)[frames].T[1:], strict=True))
     with np.load(out / "opensim.npz") as arrays:
         apart = {
             name: angle_between(arrays[f"body {theirs}"], truth[ours][frames])
@@ -274,8 +352,7 @@ def opensim(
             and not name.startswith(("ik pelvis_tx", "ik pelvis_ty", "ik pelvis_tz"))
         }
         markers = arrays["markers"]
-    own = recorded_markers(motion, body, "bsm", "m")
-    heights = own.positions[frames] @ to_z_up("y")
+    heights = recorded_markers(motion, body, "bsm", "m").positions[frames] @ to_z_up("y")
     return {
         "opensim": said["version"],
         "opensim_three_axes_deg": max(

@@ -153,20 +153,13 @@ def followed(model, trc, markers, frames, times):
         model, reference, opensim.SimTKArrayCoordinateReference()
     )
     solver.setAccuracy(1e-6)
-    names = [
-        model.getCoordinateSet().get(k).getName()
-        for k in range(model.getCoordinateSet().getSize())
-    ]
-    found = {name: [] for name in names}
+    every = [model.getCoordinateSet().get(k) for k in range(model.getCoordinateSet().getSize())]
+    found = {one.getName(): [] for one in every}
     for k, frame in enumerate(frames):
         state.setTime(times[frame])
-        if k == 0:
-            solver.assemble(state)
-        else:
-            solver.track(state)
-        for name in names:
-            value = model.getCoordinateSet().get(name).getValue(state)
-            found[name].append(np.rad2deg(value))
+        (solver.track if k else solver.assemble)(state)
+        for one in every:
+            found[one.getName()].append(np.rad2deg(one.getValue(state)))
     return found
 
 

@@ -17,13 +17,15 @@ const frames = Number(count);
 function played(root, clip, bones, scene) {
   const mixer = new THREE.AnimationMixer(root);
   mixer.clipAction(clip).setLoop(THREE.LoopOnce).play();
-  const found = Object.fromEntries(bones.map((bone) => [bone.name, []]));
+  // GLTFLoader drops characters such as dots from names, and keeps the whole name in userData
+  const named = bones.map((bone) => [bone.userData.name ?? bone.name, bone]);
+  const found = Object.fromEntries(named.map(([name]) => [name, []]));
   const place = new THREE.Vector3();
   for (let k = 0; k < frames; k += 1) {
     // the last key is reached a little before its time, or the action would be over
     mixer.setTime(Math.min(k / Number(fps), clip.duration - 1e-7));
     scene.updateMatrixWorld(true);
-    for (const bone of bones) found[bone.name].push(bone.getWorldPosition(place).toArray());
+    for (const [name, bone] of named) found[name].push(bone.getWorldPosition(place).toArray());
   }
   return found;
 }

@@ -26,10 +26,12 @@ def main(path: str, out: str, frames: int) -> None:
             skinning.ComputeSkinnedPoints(query.ComputeSkinningTransforms(frame), moved, frame)
             skin.append(np.array(moved))
     np.savez(out, joints=np.array(joints), skin=np.array(skin))
+    names = [path.rpartition("/")[2] for path in query.GetJointOrder()]
     every = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     found = UsdValidation.ValidationContext(every).Validate(stage)
     said = {
         "version": ".".join(str(part) for part in Usd.GetVersion()),
+        "names": names,
         "validators": len(every),
         "messages": [one.GetMessage() for one in found],
         "time_codes": stage.GetEndTimeCode() - stage.GetStartTimeCode() + 1,
