@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import can_triangulate, triangulate, views_on_one_clock
+from observations.camera_paths import triangulate, views_to_triangulate
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.body.soles import ground_heights
@@ -172,7 +172,7 @@ def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     views = views_of(observations)
     if len(views) < 2 or any(one.unposed for one in views):
         return observations
-    if len(views_on_one_clock(views)) < len(views) or not can_triangulate(views):
+    if len(views_to_triangulate(views)) < len(views):
         return observations
     first, (places, shown) = views[0], triangulate(views)
     met = Keypoints3D(
