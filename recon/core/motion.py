@@ -85,15 +85,13 @@ class Motion(TensorStruct):
     def window(self, start: int, stop: int) -> "Motion":
         """Return frames start, ..., stop - 1 as a motion that keeps their times.
 
-        A window that reaches beyond the last frame ends with it.
-
         Raises:
-            ValueError: when it begins outside the motion, or ends before it begins.
+            ReconError: when it reaches outside the motion, or ends before it begins.
         """
-        if not 0 <= start <= min(stop, self.frames):
+        if not 0 <= start <= stop <= self.frames:
             raise ReconError(
-                f"expected a window that begins within frames 0 to {self.frames} and ends no "
-                f"sooner, got {start} to {stop}; frames are not counted from the end"
+                f"expected a window within frames 0 to {self.frames}, from the earlier to the "
+                f"later, got {start} to {stop}; frames are not counted from the end"
             )
         return self.replace(
             translation=self.translation[..., start:stop, :],
