@@ -233,7 +233,7 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
 
 def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
     """Velocity of each frame: mean of the steps before and after it that exist, per second."""
-    exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
+    exists = motion.pairs[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])
     after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
     none = torch.zeros_like(steps[..., :1, :])

@@ -67,6 +67,11 @@ class Motion(TensorStruct):
         return before & self.valid[..., step:stop] & after
 
     @property
+    def pairs(self) -> Bool[Tensor, "*batch steps"]:
+        """Mask of the steps between neighbouring frames that are both valid."""
+        return self.valid[..., 1:] & self.valid[..., :-1]
+
+    @property
     def times(self) -> Float[Tensor, " time"]:
         """Time of every frame, seconds."""
         count = torch.arange(self.frames, dtype=torch.float64, device=self.translation.device)

@@ -88,7 +88,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
         exists = motion.inner().to(motion.translation)[:, None]
         add_differences(model.joints, (1.0, -2.0, 1.0), term.weight * rate**3 * exists)
     elif energy is joint_velocity:
-        exists = (motion.valid[1:] & motion.valid[:-1]).to(motion.translation)[:, None]
+        exists = motion.pairs.to(motion.translation)[:, None]
         add_differences(model.joints, (-1.0, 1.0), term.weight * rate * exists)
     else:
         return energy in _OF_SCENE
