@@ -120,7 +120,7 @@ def likeliest_motion(
         found = look([one[0] for one in observations], body)
     ProposedMotions.check(found, type(look).__name__)
     motion = found.motions[found.likeliest]
-    return checked_start(motion.map(lambda tensor: tensor[None]), observations, body), found
+    return checked_start(motion[None], observations, body), found
 
 
 def _preview_fit(

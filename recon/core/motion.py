@@ -199,7 +199,7 @@ def padded_batch(motions: list[Motion]) -> Motion:
             rotations=m.rotations[held],
             valid=m.valid[held] & (index < m.frames),
             hands=None,
-        ).map(lambda tensor: tensor[None])
+        )[None]
 
     rows = [lengthen(m) for m in motions]
     return Motion(
