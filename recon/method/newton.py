@@ -205,6 +205,8 @@ class StageProblem(Problem[Unknowns[Any]]):
     """Number of steps of all frames of a clip, 69 of each."""
     hessian_size: int
     """Number of steps of frames and shape, which the Hessian covers."""
+    with_shape: bool
+    """Whether the shape is moved as well."""
 
     @classmethod
     def around(
@@ -223,12 +225,8 @@ class StageProblem(Problem[Unknowns[Any]]):
             base = Unknowns.of(stage.prior, motion, unknowns.scene, body).detach()
         shape = motion.shape.shape[-1] if "shape" in stage.free else 0
         size = motion.frames * FRAME
-        return cls(stage, body, Layout.of(base, stage.free), size, size + shape), base
-
-    @property
-    def with_shape(self) -> bool:
-        """Whether the shape is moved as well."""
-        return self.hessian_size > self.motion_size
+        layout = Layout.of(base, stage.free)
+        return cls(stage, body, layout, size, size + shape, shape > 0), base
 
     @property
     def scene_parts(self) -> list[tuple[str, torch.Size]]:
