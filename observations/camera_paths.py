@@ -6,6 +6,7 @@ at most moments, so the right unit is the one in which the slower foot hardly mo
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,7 +129,7 @@ def triangulate(
     Raises:
         ValueError: when the views do not share clock and layout.
     """
-    clocks = {(v.fps, v.start_time, *v.pixels.shape[:-1]) for v in views}
+    clocks = {_clock(view) for view in views}
     if len(clocks) != 1:
         raise ObservationError(
             "views are triangulated moment by moment: expected one layout, frame rate, start time "
@@ -156,22 +157,20 @@ def triangulate(
     return torch.where(exists[..., None], points, 0.0), exists
 
 
-def views_on_one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
-    """Return the views with the first one's frame rate, start time and number of frames."""
+def views_to_triangulate(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
+    """Return the views with the first one's clock and layout; none if they tell no distance.
 
-    def clock(view: Keypoints2D) -> tuple[object, ...]:
-        return (view.fps, view.start_time, *view.pixels.shape[:-1])
-
-    return [view for view in views if clock(view) == clock(views[0])]
-
-
-def can_triangulate(views: Sequence[Keypoints2D]) -> bool:
-    """Whether rays of some point in every clip differ enough in direction to triangulate it.
-
-    Cameras side by side see hardly more than one of them does: not how far a person is.
+    In every clip, rays of some point must differ enough in direction to triangulate it. Cameras
+    side by side see hardly more than one of them does: not how far a person is.
     """
-    _, exists = triangulate(views)
-    return bool(exists.any(-1).any(-1).all())
+    alike = [view for view in views if _clock(view) == _clock(views[0])]
+    _, exists = triangulate(alike)
+    return alike if bool(exists.any(-1).any(-1).all()) else []
+
+
+def _clock(view: Keypoints2D) -> tuple[Any, ...]:
+    """Frame rate, start time, and numbers of clips, frames and points."""
+    return (view.fps, view.start_time, *view.pixels.shape[:-1])
 
 
 def guess_from_views(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:

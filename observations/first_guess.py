@@ -46,10 +46,9 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
         # imported only when several cameras see the points, which may be triangulated then
-        from observations.camera_paths import can_triangulate, guess_from_views, views_on_one_clock
+        from observations.camera_paths import guess_from_views, views_to_triangulate
 
-        alike = views_on_one_clock(views)
-        if len(alike) > 1 and can_triangulate(alike):
+        if alike := views_to_triangulate(views):
             return FirstGuess(guess_from_views(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)

@@ -166,7 +166,8 @@ class PoseSolver(TensorStruct):
 
     def moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
         """Apply steps to poses; a step that would rotate or move the body too far is shortened."""
-        turns = torch.cat((steps[:, None, 3:6], self._joint_turns(steps[:, 6:])), 1).norm(dim=-1)
+        joints = (steps[:, 6:] @ self.density.basis.mT).unflatten(-1, (ROTATIONS, 3))
+        turns = torch.cat((steps[:, None, 3:6], joints), 1).norm(dim=-1)
         long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
         steps = steps / torch.maximum(long, far).clamp(min=1)[:, None]
@@ -176,9 +177,6 @@ class PoseSolver(TensorStruct):
             state.coordinates + steps[:, 6:],
             self,
         )
-
-    def _joint_turns(self, steps: Float[Tensor, "rows 63"]) -> Float[Tensor, "rows 21 3"]:
-        return (steps @ self.density.basis.mT).unflatten(-1, (ROTATIONS, 3))
 
 
 @dataclass(frozen=True)

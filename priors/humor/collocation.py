@@ -30,7 +30,7 @@ from priors.humor.steps import (
 from priors.pose.prior import PoseDensity, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import KNEES, PARENTS
+from recon.core.skeleton import KNEES
 from recon.method.marquardt import preconditioned
 from recon.method.priors import USUAL_NOISE, Density, Prior
 from recon.method.protocols import Decoded, Estimate
@@ -43,8 +43,8 @@ from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
 _FITTED = 0.5
-"""Objective, metres², below which decreases are measured against this: about that of errors of
-2 cm of 22 joints in 60 frames."""
+"""Metres²; a decrease of an objective below this is taken relative to it. It is about the
+objective of errors of 2 cm of 22 joints in 60 frames."""
 _LATENTS_OF_SURFACE = 0.5
 """Share of the weight of latents where only points on the body's surface are given. Chosen on
 validation windows of depth, where a quarter was as good on average."""
@@ -125,11 +125,8 @@ class Collocation(Prior[PoseVariables]):
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
         """Add the Gauss-Newton Hessian of one of the prior's terms; false if it has none."""
         if term.energy is contact_velocity:
-            contacts = clip.estimate.decoded.contacts
-            assert contacts is not None
-            motion = clip.motion
-            exists = (motion.valid[1:] & motion.valid[:-1])[:, None]
-            weight = term.weight * contacts[clip.clip, 1:].where(exists, 0.0)
+            contacts = predicted_contacts(clip.estimate)[clip.clip, 1:]
+            weight = term.weight * contacts.where(clip.motion.pairs[:, None], 0.0)
             add_differences(clip.joints, (-1.0, 1.0), weight.repeat_interleave(3, -1))
             return True
         energy: Any = term.energy
@@ -258,51 +255,19 @@ def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     )
 
 
-_TOUCHING = 0.08
-"""Metres a joint in contact may be above or below the ground (published)."""
-
-
-def joint_consistency(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |p - p̂|² between the body's joints p and the predicted joints p̂; metres²."""
-    away = estimate.body.joints - _predicted_joints(estimate)
-    squared = away.square().sum((-1, -2))
-    return 0.5 * squared.where(estimate.motion.valid, 0.0).sum(-1)
-
-
-def bone_length(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ (l_t - l_(t-1))² of the bone lengths of the predicted joints; metres²."""
-    joints = _predicted_joints(estimate)
-    lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1)
-    change = lengths.diff(dim=-2).square().sum(-1)
-    return 0.5 * change.where(_valid_pairs(estimate), 0.0).sum(-1)
-
-
 def contact_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ Σ c |p_t - p_(t-1)|² of the body's joints, c their probability of contact; metres²."""
     step = estimate.body.joints.diff(dim=-3).square().sum(-1)
-    moved = (_contact_probabilities(estimate)[..., 1:, :] * step).sum(-1)
-    return 0.5 * moved.where(_valid_pairs(estimate), 0.0).sum(-1)
+    moved = (predicted_contacts(estimate)[..., 1:, :] * step).sum(-1)
+    return 0.5 * moved.where(estimate.motion.pairs, 0.0).sum(-1)
 
 
-def contact_height(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Σ c max(|z| - 8 cm, 0) of the body's joints above the ground z = 0; metres."""
-    away = (estimate.body.joints[..., 2].abs() - _TOUCHING).relu()
-    height = (_contact_probabilities(estimate) * away).sum(-1)
-    return height.where(estimate.motion.valid, 0.0).sum(-1)
+def predicted_contacts(estimate: Estimate) -> Float[Tensor, "*batch time 22"]:
+    """Return the probability of contact that the prior predicts for every joint, 0 to 1.
 
-
-def _valid_pairs(estimate: Estimate) -> Tensor:
-    valid = estimate.motion.valid
-    return valid[..., 1:] & valid[..., :-1]
-
-
-def _predicted_joints(estimate: Estimate) -> Float[Tensor, "*batch time 22 3"]:
-    if estimate.decoded.joints is None:
-        raise ValueError("expected a prior that predicts joints beside the pose, such as Humor")
-    return estimate.decoded.joints
-
-
-def _contact_probabilities(estimate: Estimate) -> Float[Tensor, "*batch time 22"]:
+    Raises:
+        ValueError: when the prior predicts none.
+    """
     if estimate.decoded.contacts is None:
         raise ValueError("expected a prior that predicts contacts, such as Humor")
     return estimate.decoded.contacts

@@ -9,18 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.collocation import (
-    Collocation,
-    bone_length,
-    contact_height,
-    contact_velocity,
-    joint_consistency,
-)
+from priors.humor.collocation import Collocation, contact_velocity, predicted_contacts
 from priors.humor.prior import Humor
 from priors.humor.unrolled import HumorVariables
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded, Energy, Estimate
 from recon.method.stages import Stage
@@ -235,3 +230,35 @@ def _summed_ground_energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
 def _scaled_by_clip_length(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
     """Multiply an energy by the number of frames / 15, as the published second phase does."""
     return lambda estimate: energy(estimate) * (estimate.motion.valid.sum(-1) / FIRST_FRAMES)
+
+
+_TOUCHING = 0.08
+"""Metres a joint in contact may be above or below the ground (published)."""
+
+
+def joint_consistency(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |p - p̂|² between the body's joints p and the predicted joints p̂; metres²."""
+    away = estimate.body.joints - _predicted_joints(estimate)
+    squared = away.square().sum((-1, -2))
+    return 0.5 * squared.where(estimate.motion.valid, 0.0).sum(-1)
+
+
+def bone_length(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ (l_t - l_(t-1))² of the bone lengths of the predicted joints; metres²."""
+    joints = _predicted_joints(estimate)
+    lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1)
+    change = lengths.diff(dim=-2).square().sum(-1)
+    return 0.5 * change.where(estimate.motion.pairs, 0.0).sum(-1)
+
+
+def contact_height(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """Σ c max(|z| - 8 cm, 0) of the body's joints above the ground z = 0; metres."""
+    away = (estimate.body.joints[..., 2].abs() - _TOUCHING).relu()
+    height = (predicted_contacts(estimate) * away).sum(-1)
+    return height.where(estimate.motion.valid, 0.0).sum(-1)
+
+
+def _predicted_joints(estimate: Estimate) -> Float[Tensor, "*batch time 22 3"]:
+    if estimate.decoded.joints is None:
+        raise ValueError("expected a prior that predicts joints beside the pose, such as Humor")
+    return estimate.decoded.joints

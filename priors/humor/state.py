@@ -209,12 +209,10 @@ def states_of(motion: Motion, body: BodyModel) -> State:
 
 
 def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> State:
-    """HuMoR's states of a motion whose joints are known; velocities by finite differences.
+    """HuMoR's states, axes (clips, time), of a motion whose joints are known.
 
-    Axes (clips, time).
-
-    Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
-    the motion's own rate). Every clip has at least two frames.
+    Velocities are central differences inside, one-sided ones at both ends of what exists (HuMoR,
+    section 1.5, at the motion's own rate). Every clip has at least two frames.
     """
     roots = motion.rotations[..., 0, :, :]
     spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
@@ -233,7 +231,7 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
 
 def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
     """Velocity of each frame: mean of the steps before and after it that exist, per second."""
-    exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
+    exists = motion.pairs[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])
     after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
     none = torch.zeros_like(steps[..., :1, :])

@@ -188,7 +188,7 @@ class StepCurvature(TensorStruct):
         like, steps, moved = motion.translation, motion.frames - 1, SPAN * FRAME
         whole = (error * self.error + latents * self.latents).to(like)
         size = hessian.corner.shape[-1]
-        exists = (motion.valid[1:] & motion.valid[:-1]).to(like)[:, None, None]
+        exists = motion.pairs.to(like)[:, None, None]
         turn = so3.undo_heading(motion.rotations[:-1, 0]).mT
         mean = whole[:moved, :moved].unflatten(0, (SPAN, FRAME)).unflatten(2, (SPAN, FRAME))
         edge = whole[:moved, moved : moved + size].unflatten(0, (SPAN, FRAME))

@@ -67,6 +67,11 @@ class PoseDensity(TensorStruct):
         steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
         return self.mean @ so3.exp(steps)
 
+    def turns(self, coordinates: Float[Tensor, "time 63"]) -> Float[Tensor, "time 63 63"]:
+        """Derivatives of the joints' rotation steps R Exp(w) by pose coordinates z, radians."""
+        steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
+        return (right_jacobian(steps) @ self.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+
     def jacobian_by_rotations(
         self, rotations: Float[Tensor, "*shape 21 3 3"]
     ) -> Float[Tensor, "*shape 63 63"]:
@@ -292,9 +297,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
     def turns(self, variables: PoseVariables, clip: int) -> Float[Tensor, "time 63 63"]:
         """Derivatives of the joints' rotations R Exp(w) by z, where steps are zero."""
         start = variables.start_pose[clip]
-        basis = self.density.basis.to(start)
-        steps = (start @ basis.mT).unflatten(-1, (ROTATIONS, 3))
-        return (right_jacobian(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+        return self.density.to(dtype=start.dtype, device=start.device).turns(start)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
         """Add the Hessian of the energy "pose", which is quadratic in z."""

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
-from recon.fitting.records import ClipFit, seen_times
+from recon.fitting.records import ClipFit, seen_moments
 from recon.method.cycle_prior import CyclePrior
 
 SWING = 0.3
@@ -45,7 +43,7 @@ def cycle_report(
     prior = found.result.reports[-1].stage.prior
     assert isinstance(prior, CyclePrior)
     latent = found.result.estimate.decoded.energies["latent"][0]
-    moments = np.unique(np.concatenate([seen_times(one) for one in found.observations]).round(3))
+    moments = seen_moments(found.observations)
     difference = swing_difference_from_textbook(motion)
     numbers = {
         "seconds": motion.duration,

@@ -284,7 +284,7 @@ def _start_in_fit_frame(
         given = motion_given(given, body, "start").motion
     motion = given.motion if isinstance(given, Result) else given
     if motion.translation.ndim == 2:
-        motion = motion.map(lambda tensor: tensor[None])
+        motion = motion[None]
     T = clip.T_recording_given
     if T is None or motion.shape.shape[-1] > body.shape_size:
         return motion

@@ -91,8 +91,9 @@ def with_fingers(
     for side, hand in enumerate(chosen):
         views = [] if hand is None else [one.view(hand) for one in seen]
         views = [one for one in views if bool((one.weights > 0).any())]
-        if not views:
-            views = [_empty_view(motion.frames)]
+        if not views:  # nothing is seen, so the fit gives the rest pose
+            none = torch.zeros(motion.frames, _POINTS, 3).double()
+            views = [HandView(none, none[..., 0])]
         fit = fit_hand(views, model, side, turns[:, side], places[:, side], motion.fps)
         joints = ROWS[side].unflatten(0, (5, 4))[:, :3].flatten()
         rotations[:, joints] = fit.local.to(rotations)
@@ -187,7 +188,8 @@ def _observed_hand_of_each_wrist(
 
     def leave_out(hand: int, why: str) -> None:
         chosen[hand] = None
-        warnings.append(_hand_finding(hand, f"{why}; its fingers are left at rest"))
+        said = f"{SIDES[hand]} hand: {why}; its fingers are left at rest"
+        warnings.append(Finding("hand", said, (f"{SIDES[hand]}_wrist",)))
 
     for hand in (0, 1):
         counts = torch.cat([(one.view(hand).weights > 0).sum(-1) for one in seen])
@@ -195,8 +197,9 @@ def _observed_hand_of_each_wrist(
         if len(counts) == 0:
             chosen[hand] = None
         elif float(counts.median()) < _FEWEST:
-            few = f"fewer than {_FEWEST} of its {_POINTS} points are seen in most frames"
-            leave_out(hand, few)
+            leave_out(
+                hand, f"fewer than {_FEWEST} of its {_POINTS} points are seen in most frames"
+            )
     spatial = [one for one in seen if one.camera is None]
     views = [one for one in seen if one.camera is not None]
     spatial += [_triangulated(views)] if len(views) > 1 else []
@@ -266,10 +269,6 @@ def _triangulated(views: Sequence[_SeenHands]) -> _SeenHands:
     return _SeenHands(points * met[..., None], met, None, _NOISE_M[2])
 
 
-def _hand_finding(hand: int, what: str) -> Finding:
-    return Finding("hand", f"{SIDES[hand]} hand: {what}", (f"{SIDES[hand]}_wrist",))
-
-
 def _wrist_distance(
     seen: Sequence[_SeenHands], hand: int, wrist_positions: Float[Tensor, "time 3"]
 ) -> float:
@@ -326,10 +325,3 @@ def _uncertainty_findings(fit: FittedHand, views: Sequence[HandView], side: str)
         why = "one view says little of depth, and other bends of fingers may look the same"
     said = f"fingertips are known to about {1e3 * std:.0f} mm (standard deviation): {why}"
     return [Finding("hand", f"{side} hand: {said}", (f"{side}_wrist",), value=std)]
-
-
-def _empty_view(frames: int) -> HandView:
-    """Return a hand observation without visible points; its fit gives the rest pose."""
-    return HandView(
-        torch.zeros(frames, _POINTS, 3).double(), torch.zeros(frames, _POINTS).double()
-    )

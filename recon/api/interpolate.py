@@ -82,7 +82,7 @@ def interpolate(
     first, second = divmod(int(unlike.argmin()), unlike.shape[1])
     chosen = (candidates[0][first], candidates[1][second])
     parts = [
-        prior.encode(cycle.of(one.motion, ANCHORS).map(lambda tensor: tensor[None]))
+        prior.encode(cycle.of(one.motion, ANCHORS)[None])
         for cycle, one in zip(chosen, given, strict=True)
     ]
     mixed = interpolated_cycle(prior, parts[0], parts[1], share)

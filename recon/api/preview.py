@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import can_triangulate, triangulate, views_on_one_clock
+from observations.camera_paths import triangulate, views_to_triangulate
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.body.soles import ground_heights
@@ -120,7 +120,7 @@ def likeliest_motion(
         found = look([one[0] for one in observations], body)
     ProposedMotions.check(found, type(look).__name__)
     motion = found.motions[found.likeliest]
-    return checked_start(motion.map(lambda tensor: tensor[None]), observations, body), found
+    return checked_start(motion[None], observations, body), found
 
 
 def _preview_fit(
@@ -172,7 +172,7 @@ def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     views = views_of(observations)
     if len(views) < 2 or any(one.unposed for one in views):
         return observations
-    if len(views_on_one_clock(views)) < len(views) or not can_triangulate(views):
+    if len(views_to_triangulate(views)) < len(views):
         return observations
     first, (places, shown) = views[0], triangulate(views)
     met = Keypoints3D(

@@ -81,9 +81,7 @@ def motion_file_of(
     angle_std: Float[Tensor, "time 42"] | None = None,
     cameras: tuple[FilmingCamera, ...] = (),
 ) -> MotionFile:
-    """A motion with its joints, contacts and ground, as a motion file.
-
-    No contacts without a ground.
+    """Return a motion file with joints, ground and contacts, which need a ground.
 
     Where a camera's pose was found, the file has it and the root in the camera's frame besides.
     On a treadmill, contacts are told against the belt, by how far it has come.
@@ -134,9 +132,6 @@ def in_camera(
     pelvis = body.rest_joints(motion.shape)[..., 0, :]
     seen = motion.carried(torch.linalg.inv(T_world_camera), pelvis)
     return torch.cat((seen.translation, so3.log(seen.rotations[:, 0].double()).float()), -1)
-
-
-_UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, repr=False)
@@ -302,9 +297,8 @@ def result_of(
     if found.grounded and clip.T_recording_camera is None and not found.ground_known:
         # 3D data with z up keep their coordinates, in which the ground has the fitted height
         ground = -float(T[2, 3])
-        motion = motion.replace(
-            translation=motion.translation + ground * motion.translation.new_tensor(_UP)
-        )
+        raised = motion.translation + motion.translation.new_tensor([0.0, 0.0, ground])
+        motion = motion.replace(translation=raised)
         T[2, 3] = 0.0
     T_world_camera = None
     T_recording_camera = clip.T_recording_camera

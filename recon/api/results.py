@@ -41,14 +41,6 @@ def in_ten_lines(headline: str, facts: Sequence[str], findings: Sequence[str]) -
     return "\n".join([headline, *map(one_line, lines)])
 
 
-def described_motion(motion: Motion, body_height: float) -> str:
-    """Return a text: frames, duration and rate of a motion, and the body height in metres."""
-    return (
-        f"{motion.frames} frames, {motion.duration:.2f} s at {motion.fps:g} frames per second, "
-        f"a person of {body_height:.2f} m"
-    )
-
-
 def described_residual(summary: ResidualSummary) -> str:
     """Return one line of text with an observation's name, noise and median residual."""
     seen = (
@@ -234,8 +226,11 @@ class MotionResult(ABC):
             write_joint_table(staged, self.file, self.joints)
 
     def _headline(self) -> str:
-        tall = float(self.body.height(self.motion.shape))
-        return f"{type(self).__name__}: {described_motion(self.motion, tall)}"
+        motion, tall = self.motion, float(self.body.height(self.motion.shape))
+        return (
+            f"{type(self).__name__}: {motion.frames} frames, {motion.duration:.2f} s at "
+            f"{motion.fps:g} frames per second, a person of {tall:.2f} m"
+        )
 
 
 def closing_fields(

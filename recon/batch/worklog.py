@@ -118,15 +118,12 @@ def clips_of_shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[
     """
     if not 0 <= index < count:
         raise ValueError(f"--shard must be I/N with 0 <= I < N, got {index}/{count}")
+    keys = (one.name if one.subject is None else f"subject {one.subject}" for one in clips)
     return tuple(
         clip
-        for clip in clips
-        if int(hashlib.sha256(_shard_key(clip).encode()).hexdigest(), 16) % count == index
+        for clip, key in zip(clips, keys, strict=True)
+        if int(hashlib.sha256(key.encode()).hexdigest(), 16) % count == index
     )
-
-
-def _shard_key(clip: BatchClip) -> str:
-    return clip.name if clip.subject is None else f"subject {clip.subject}"
 
 
 Record = dict[str, Any]

@@ -27,7 +27,7 @@ class BonePoints:
     place_by_shape: Float[Tensor, "shape points 22 3"]
     """Their derivatives by the coefficients of the shape."""
     own_joints: tuple[int, ...] | None = None
-    """The joint that each point is identical with; None where points may be others."""
+    """The joint that each point is identical with; None where some may be no joints."""
 
     @classmethod
     def create(

@@ -85,7 +85,7 @@ class Stance:
         """
         lowest = []
         for first in range(0, motion.frames, _CHUNK):
-            posed = body.pose(motion.window(first, first + _CHUNK))
+            posed = body.pose(motion.window(first, min(first + _CHUNK, motion.frames)))
             points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
             deepest = points[..., 2].argmin(-1)[..., None, None]
             lowest.append(points.take_along_dim(deepest, -2).squeeze(-2))

@@ -67,6 +67,11 @@ class Motion(TensorStruct):
         return before & self.valid[..., step:stop] & after
 
     @property
+    def pairs(self) -> Bool[Tensor, "*batch steps"]:
+        """Mask of the steps between neighbouring frames that are both valid."""
+        return self.valid[..., 1:] & self.valid[..., :-1]
+
+    @property
     def times(self) -> Float[Tensor, " time"]:
         """Time of every frame, seconds."""
         count = torch.arange(self.frames, dtype=torch.float64, device=self.translation.device)
@@ -85,15 +90,13 @@ class Motion(TensorStruct):
     def window(self, start: int, stop: int) -> "Motion":
         """Return frames start, ..., stop - 1 as a motion that keeps their times.
 
-        A window that reaches beyond the last frame ends with it.
-
         Raises:
-            ValueError: when it begins outside the motion, or ends before it begins.
+            ReconError: when it reaches outside the motion, or ends before it begins.
         """
-        if not 0 <= start <= min(stop, self.frames):
+        if not 0 <= start <= stop <= self.frames:
             raise ReconError(
-                f"expected a window that begins within frames 0 to {self.frames} and ends no "
-                f"sooner, got {start} to {stop}; frames are not counted from the end"
+                f"expected a window within frames 0 to {self.frames}, from the earlier to the "
+                f"later, got {start} to {stop}; frames are not counted from the end"
             )
         return self.replace(
             translation=self.translation[..., start:stop, :],
@@ -196,7 +199,7 @@ def padded_batch(motions: list[Motion]) -> Motion:
             rotations=m.rotations[held],
             valid=m.valid[held] & (index < m.frames),
             hands=None,
-        ).map(lambda tensor: tensor[None])
+        )[None]
 
     rows = [lengthen(m) for m in motions]
     return Motion(

@@ -1,7 +1,4 @@
-"""Unknowns of a clip besides the prior's variables.
-
-Ground, lens, and offsets of tracked points.
-"""
+"""Unknowns of a clip besides the prior's variables: ground, lens, offsets of tracked points."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -39,9 +36,10 @@ class UnknownGround(TensorStruct):
     """The rigid transform from the frame of a recording to the world (z up, the ground at z = 0).
 
     The recording's frame is a first guess of the world. The world follows from it by a small turn
-    about a horizontal axis through a point near the body and a lift: x_world = R (x - p) + p + l z
-    Observations do not see either, only what knows of gravity and ground does; so the variables
-    of the motion stay in the recording's frame, where a better ground leaves the data explained.
+    R about a horizontal axis through a point p near the body, and a lift l along the vertical z:
+    x_world = R (x - p) + p + l z. Observations do not depend on R and l, only terms of gravity and
+    contact do; so the variables of the motion stay in the recording's frame, where another ground
+    changes no residual.
     """
 
     tilt: Float[Tensor, "*batch 2"]
@@ -117,9 +115,7 @@ class Scene(TensorStruct):
 
     offsets: Float[Tensor, "*batch offsets 3"]
     """Constant offsets of tracked points from their place on the model, metres, in the frame of
-    their bone.
-
-    Markers stand off the skin and joints of another skeleton lie elsewhere; an
+    their bone. Markers stand off the skin and joints of another skeleton lie elsewhere; an
     observation that allows for that names its rows here (MoSh's latent markers).
     """
     ground: UnknownGround | None = None

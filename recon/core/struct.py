@@ -98,4 +98,4 @@ def concatenate(records: list[S], dim: int = 0) -> S:
 
 def stack(records: list[S]) -> S:
     """Stack records of one structure along a new batch axis; other fields come from the first."""
-    return concatenate([record.map(lambda tensor: tensor[None]) for record in records])
+    return concatenate([record[None] for record in records])

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import can_triangulate, views_on_one_clock
+from observations.camera_paths import views_to_triangulate
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.residuals import NORMAL_MAD
@@ -90,8 +90,7 @@ def size_is_unknown(found: ClipFit) -> bool:
     size_given = any(term.name in _SIZE_TERMS for stage in stages for term in stage.terms)
     if size_given or not any("shape" in stage.free for stage in stages):
         return False
-    alike = views_on_one_clock(views)
-    return len(alike) == 1 or not can_triangulate(alike)
+    return not views_to_triangulate(views)
 
 
 def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:

@@ -76,8 +76,6 @@ class Movement:
         ankles, toes = joints[:, list(_ANKLES)], joints[:, list(_TOES)]
         drop = np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)])
         heights = (np.stack((ankles[..., 2], toes[..., 2]), -1) - drop).min(-1)
-        across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
-        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
         along = toes - ankles
         return cls(
             joints=joints,
@@ -89,10 +87,17 @@ class Movement:
             sole_heights=heights,
             soles=np.stack((ankles - _HEEL_RATIO * along, toes + _TIP_RATIO * along), -2),
             ground=float(np.quantile(heights.min(1), _GROUND_QUANTILE)) if len(heights) else 0.0,
-            forward=np.stack((across[:, 1], -across[:, 0]), -1),
+            forward=facing_directions(joints),
             fps=motion.fps,
             frames=len(joints),
         )
+
+
+def facing_directions(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 2"]:
+    """Return the horizontal unit vector in which the hips face, world."""
+    across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
+    return np.stack((across[:, 1], -across[:, 0]), -1)
 
 
 def distance_outside_hull(

@@ -182,12 +182,6 @@ def export_file(
         report.update(bones=made.bones, scale=made.scale, warnings=list(made.warnings))
         return None
 
-    def write_markers(path: Path) -> None:
-        write_trc(path, recorded_markers(moved, own, markers, name), unit=unit, up=up)
-
-    def write_meshes(folder: Path) -> None:
-        write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
-
     every: list[tuple[Path | None, OutputKind, Callable[[Path], object]]] = [
         (glb, OutputKind.FILE, write_gltf),
         (usd, OutputKind.FILE, lambda path: write_usd(path, moved, own, names)),
@@ -196,7 +190,13 @@ def export_file(
             OutputKind.FILE,
             lambda path: write_bvh(path, skeleton_of(moved, own, name), bones=names),
         ),
-        (trc, OutputKind.FILE, write_markers),
+        (
+            trc,
+            OutputKind.FILE,
+            lambda path: write_trc(
+                path, recorded_markers(moved, own, markers, name), unit=unit, up=up
+            ),
+        ),
         (mot, OutputKind.FILE, lambda path: write_mot(path, moved, own, model)),
         (
             forces,
@@ -216,7 +216,13 @@ def export_file(
         ),
         (robot, OutputKind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
         (smpl, OutputKind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
-        (ply, OutputKind.FOLDER, write_meshes),
+        (
+            ply,
+            OutputKind.FOLDER,
+            lambda path: write_ply_sequence(
+                path, own.pose(moved).vertices.numpy(), own.faces.numpy()
+            ),
+        ),
         (html, OutputKind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]

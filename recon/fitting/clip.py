@@ -42,7 +42,6 @@ The true one is 1 to 2 cm; this is smaller as errors of neighbouring frames are 
 GROUND_DEVIATION = 0.001
 """Standard deviation (m and rad) of the ground from a plane that is given or seen: thousands of
 points show it, and no step of a person should outweigh them."""
-ROUGH = FitOptions(prior=FIRST)
 
 
 def fit_clip(
@@ -205,8 +204,7 @@ class ClipProblem:
     @property
     def is_long(self) -> bool:
         """Whether the recording is fitted by windows, as it is longer than `LONG`."""
-        motion = self.guess.motion
-        return motion.duration > LONG
+        return self.guess.motion.duration > LONG
 
     @property
     def optimised_unknowns(self) -> frozenset[str]:
@@ -247,7 +245,7 @@ class ClipProblem:
     def pose_prior_options(self) -> FitOptions:
         """Options to fit first motions by the pose prior, which needs no ground."""
         known = self.options
-        return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
+        return FitOptions(prior=FIRST, shape=known.shape, shape_prior=known.shape_prior)
 
     def stages(self, options: FitOptions, moved: frozenset[str], body: BodyModel) -> Stages:
         """Return a function that makes the prior's stages for data, adapted to shape and scene."""

@@ -21,7 +21,7 @@ from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.methods import FitOptions, loaded_prior
-from recon.fitting.records import ClipFit
+from recon.fitting.records import ClipFit, seen_moments
 from recon.method.cycle_prior import CyclePrior
 from recon.method.priors import PriorLike
 from recon.method.protocols import REFERENCE_FPS
@@ -61,16 +61,10 @@ def observations_in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
 
 def seen_moments_per_second(observations: Sequence[Sensor]) -> float:
     """Return the number of frames with data per second, over all sensors."""
-    times = torch.cat([seen_times(one) for one in observations]).unique()
+    times = seen_moments(observations)
     if len(times) < 2:
         return 0.0
     return (len(times) - 1) / float(times[-1] - times[0])
-
-
-def seen_times(sensor: Sensor) -> Float[Tensor, " moments"]:
-    """Return the times (s) of frames with data in any clip, rounded to milliseconds."""
-    there = sensor.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
-    return (sensor.start_time + there.double() / sensor.fps).mul(1000).round().div(1000)
 
 
 HEADINGS = 8

@@ -23,7 +23,7 @@ from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
 from recon.method.windows import joined_windows
-from recon.solver.lbfgs import Progress, Solution
+from recon.solver.lbfgs import Solution
 
 WINDOW, OVERLAP = 6.0, 1.0
 """Longest duration (s) of a window, and the time (s) that it shares with each neighbour."""
@@ -66,9 +66,9 @@ def fit_long(
     colours). At last, neighbouring windows are blended where they overlap.
 
     Args:
-        observations: adapters with the data of one clip inside, a leading axis of length one;
-            the first one gives the first guess and the span.
-        prior: prior or stages, as for `recon.solve`.
+        observations: sensors with the data of one clip, with a leading axis of length one; the
+            first one gives the first guess and the span.
+        prior: prior or stages, as for `recon.method.reconstruction.solve`.
         body: body model to be fitted; None is the bundled body.
         window: longest duration of a window, seconds.
         overlap: time that neighbours share, seconds, at most 40 % of a window.
@@ -90,7 +90,6 @@ def fit_long(
     job = _WindowFitter(recording, body, scene, weights, watch)
     every = list(range(len(recording.windows.starts)))
     some = torch.linspace(0, every[-1], min(len(every), AT_ONCE)).round().int().tolist()
-
     stages = stages_of(prior)
 
     def stages_with_ties(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
@@ -108,7 +107,7 @@ def fit_long(
     tied = job.fit("tied", every[1::2], shape, stages_with_ties)
     motions, rate = alone.motions | tied.motions, min(alone.lowest_fps, tied.lowest_fps)
     joined = joined_windows([motions[row].resample(rate) for row in every])
-    whole = joined.map(lambda tensor: tensor[None])
+    whole = joined[None]
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),
         windows=tuple(recording.time_range(row) for row in every),
@@ -188,11 +187,7 @@ class _WindowFitter:
         watch = self.watch
         if watch is None:
             return None
-
-        def watch_prefixed(stage: str, progress: Progress) -> bool | None:
-            return watch(f"{name}: {stage}", progress)
-
-        return watch_prefixed
+        return lambda stage, progress: watch(f"{name}: {stage}", progress)
 
 
 def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:

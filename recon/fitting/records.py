@@ -1,5 +1,6 @@
 """Records of the fit of one clip: its input `Clip`, its result `ClipFit`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,9 +60,14 @@ def start_times(clip: Clip) -> tuple[float, ...]:
 
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
-    """Return the times (s) of the frames of an observation that have data."""
-    moments = observation.shown[0].any(-1).nonzero()[:, 0].numpy()
+    """Return the times (s) of the frames of an observation that have data in any clip."""
+    moments = observation.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu().numpy()
     return observation.start_time + moments / observation.fps
+
+
+def seen_moments(observations: Sequence[Sensor]) -> Float[np.ndarray, " moments"]:
+    """Return the times (s) at which any sensor has data, rising, rounded to milliseconds."""
+    return np.unique(np.concatenate([seen_times(one) for one in observations]).round(3))
 
 
 @dataclass(frozen=True)

@@ -93,8 +93,7 @@ class StillFeet(TensorStruct):
         # 1e-3 frames are added, since rounding may put a time just before its frame
         row = ((time - self.start_time) * self.fps + 1e-3).floor().long()
         held = self.held[..., row.clamp(0, self.held.shape[-2] - 1).to(self.held.device), :]
-        exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None]
-        return (held * (motion.fps / REFERENCE_FPS)).where(exists, 0.0)
+        return (held * (motion.fps / REFERENCE_FPS)).where(motion.pairs[..., None], 0.0)
 
 
 def with_still_feet(

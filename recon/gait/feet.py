@@ -15,6 +15,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
+from recon.diagnosis.movement import facing_directions
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -24,7 +25,6 @@ CUTOFF_HZ = 12.0
 coordinates of walking, blur the moment of the strike: 7 Hz tripled the deviation from marked
 events."""
 
-_HIPS = tuple(joint_index(f"{side}_hip") for side in SIDES)
 _SOLES = tuple((joint_index(f"{side}_ankle"), joint_index(f"{side}_foot")) for side in SIDES)
 
 
@@ -92,7 +92,7 @@ class Feet:
             heels=smooth[:, :2],
             toes=smooth[:, 2:],
             pelvis=low_passed(joints[:, 0].numpy(), motion.fps),
-            forward=_facing_directions(low_passed(joints.numpy(), motion.fps)),
+            forward=facing_directions(low_passed(joints.numpy(), motion.fps)),
             bearing=bearing,
             times=times.numpy(),
             fps=motion.fps,
@@ -110,12 +110,6 @@ def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.nd
         return values
     sections = butter(2, CUTOFF_HZ, fs=fps, output="sos")
     return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(fps / 2)))
-
-
-def _facing_directions(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 2"]:
-    across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
-    across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
-    return np.stack((across[:, 1], -across[:, 0]), -1)
 
 
 MIN_STRIDE_S = 0.3

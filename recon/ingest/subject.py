@@ -248,7 +248,7 @@ def _diverse_frames(
     """Choose frames whose poses differ most (farthest point sampling), moved over the origin."""
     total = sum(r.frames for r in recordings)
     step = max(1, total // _CANDIDATES)
-    parts = [MappedFrames.of(r, skeleton).map(lambda t: t[::step]) for r in recordings]
+    parts = [MappedFrames.of(r, skeleton)[::step] for r in recordings]
     positions = torch.cat([p.positions for p in parts])
     root = torch.cat(
         [torch.from_numpy(r.orientations[::step, r.body_root]).float() for r in recordings]

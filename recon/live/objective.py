@@ -16,16 +16,14 @@ from torch.nn.functional import pad
 
 from observations.moments import Tracker
 from priors.pose.prior import PoseDensity, PoseWeights
-from recon.body.derivatives import BonePoints, right_jacobian
+from recon.body.derivatives import BonePoints
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS
+from recon.method.quadratic import FRAME, jacobian_by_steps
 from recon.solver.banded import Banded, add_differences
-
-VARIABLES = 69
-"""Variables of one frame: translation, a step of the root's rotation, coordinates of the pose."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class Window(TensorStruct):
 
     def moved(self, steps: Float[Tensor, "active 69"]) -> "Window":
         """Return the window after steps of its last frames' variables; the root is R Exp(step)."""
-        place, turn, pose = steps.split((3, 3, VARIABLES - 6), -1)
+        place, turn, pose = steps.split((3, 3, FRAME - 6), -1)
         held = self.frames - len(steps)
         return Window(
             torch.cat((self.translation[:held], self.translation[held:] + place)),
@@ -215,20 +213,19 @@ class Objective:
         rotations, orientations, joints = self.posed(window)
         held, active = window.frames - seen[0].moments, seen[0].moments
         pose = window.pose[held:]
-        steps = (pose @ self.density.basis.mT).unflatten(-1, (-1, 3))
-        turns = (right_jacobian(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
+        turns = self.density.turns(pose)
         own = orientations[held:], joints[held:]
         weight = self.weights.pose * self.scale_to_30_hz
         count = len(self.shape) if with_shape else 0
         value = weight * pose.square().sum()
         gradient = pad(2 * weight * pose, (6, 0))
         alone = torch.diag_embed(pad(pose.new_full(pose.shape, 2 * weight), (6, 0)))
-        border = pose.new_zeros(active, VARIABLES, count)
+        border = pose.new_zeros(active, FRAME, count)
         corner = pose.new_zeros(active, count, count)
         gradient_shape = pose.new_zeros(active, count)
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             model = sensor.point_model(points.positions(*own))
-            jacobian = _by_variables(points.jacobian_by_rotations(*own), turns)
+            jacobian = jacobian_by_steps(points.jacobian_by_rotations(*own), turns)
             pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
             columns = jacobian.flatten(1, 2)
             down = scale * model.gradient.flatten(1)[:, None]
@@ -245,11 +242,11 @@ class Objective:
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         # rows of differences p_(t+1) - 2 p_t + p_(t-1) that contain a frame that may move
         second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
-        column = _by_variables(self.joints.jacobian_by_rotations(*own), turns).flatten(1, 2)
+        column = jacobian_by_steps(self.joints.jacobian_by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
         gradient = gradient + (force[:, None] @ column)[:, 0]
         value = value + 0.5 * self.stiffness * bend.square().sum()
-        hessian = Banded.zero(window.frames, self.reach, VARIABLES, 0, pose)
+        hessian = Banded.zero(window.frames, self.reach, FRAME, 0, pose)
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
         if self.steps is not None:
@@ -277,18 +274,9 @@ class Objective:
         """Return the prior's energy of steps, and its gradient by the active frames' variables."""
         assert self.steps is not None
         with torch.enable_grad():
-            zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
+            zero = window.pose.new_zeros(window.frames, FRAME, requires_grad=True)
             moved = window.moved(zero)
             rotations, _, joints = self.posed(moved)
             evaluated = self.steps.step_energy(self.motion(moved, rotations), joints[None], held)
             (slope,) = torch.autograd.grad(evaluated.energy, zero)
         return evaluated, slope[held:]
-
-
-def _by_variables(
-    jacobian: Float[Tensor, "time points 3 66"], turns: Float[Tensor, "time 63 63"]
-) -> Float[Tensor, "time points 3 69"]:
-    """Convert derivatives by rotation steps of the joints to derivatives by `Window` variables."""
-    moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
-    posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
-    return torch.cat((moved, jacobian[..., :3], posed), -1)

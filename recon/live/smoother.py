@@ -9,7 +9,8 @@ from torch import Tensor
 
 from observations.moments import Tracker, append_frames, frames_between
 from recon.body.derivatives import BonePoints
-from recon.live.objective import VARIABLES, Equations, Objective, Window
+from recon.live.objective import Equations, Objective, Window
+from recon.method.quadratic import FRAME
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
@@ -104,11 +105,8 @@ class SmoothedWindow:
             learn_shape_until: number of frames after which the shape is held.
         """
         data = tuple(append_frames(a, b) for a, b in zip(self.seen, seen, strict=True))
-        window, knowledge, learning = (
-            self.window.extended(_SPEED_KEPT),
-            self.knowledge,
-            self.learning,
-        )
+        window = self.window.extended(_SPEED_KEPT)
+        knowledge, learning = self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
             # keep `reach` fixed frames before the window, so that the motion continues smoothly
@@ -129,8 +127,8 @@ class SmoothedWindow:
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
-    def with_newest_by_poses(self) -> "SmoothedWindow":
-        """Return the window with its newest frames after a step under the pose density alone.
+    def newest_refined_by_poses(self) -> "SmoothedWindow":
+        """Return the window after a step of its newest frames under the pose density alone.
 
         This brings new frames near the data. A prior over steps does not always: its energy rises
         slowly where a motion is far from those it knows, so that its steps there are poor.
@@ -183,8 +181,8 @@ class _WindowProblem(Problem[SmoothedWindow]):
     ) -> SmoothedWindow:
         """Return the window, with its objective's shape, after a step of the unknowns."""
         del rows
-        frames, shape = steps[0].tensor_split([x.active_frames * VARIABLES])
-        window = x.window.moved(frames.view(x.active_frames, VARIABLES))
+        frames, shape = steps[0].tensor_split([x.active_frames * FRAME])
+        window = x.window.moved(frames.view(x.active_frames, FRAME))
         objective = x.objective
         if x.learning:
             objective = objective_of_shape(objective, objective.shape + shape, x.seen)

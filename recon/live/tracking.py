@@ -136,7 +136,7 @@ class Tracking(TrackedPerson):
             return self._restart_at_rejected(findings)
         window = self._current_window
         if self.prior is not None:
-            window = window.with_newest_by_poses()
+            window = window.newest_refined_by_poses()
         self.smoothed = window.refined(1)
         return self._final_estimates(self.lag)
 

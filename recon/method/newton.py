@@ -33,8 +33,6 @@ _SAME_MOMENT = 1e-4
 
 _OF_SCENE = (offsets, ground_moved, lens_changed)
 """Terms of the scene's own variables, which are minimised as they are."""
-
-
 _SURFACE = "add_surface_curvature"
 """Method of energies of points that are matched to places of the surface."""
 
@@ -52,7 +50,7 @@ def hessians(
         NoHessian: when no data term has a known Hessian, or any other term lacks one.
     """
     prior = stage.prior
-    known = any(is_pointwise(e) or hasattr(e, _SURFACE) for e in (t.energy for t in stage.terms))
+    known = any(is_pointwise(t.energy) or hasattr(t.energy, _SURFACE) for t in stage.terms)
     if not known or estimate.motion.frames < 2:
         raise NoHessian(stage.name)
     found: list[Banded] = []
@@ -88,7 +86,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
         exists = motion.inner().to(motion.translation)[:, None]
         add_differences(model.joints, (1.0, -2.0, 1.0), term.weight * rate**3 * exists)
     elif energy is joint_velocity:
-        exists = (motion.valid[1:] & motion.valid[:-1]).to(motion.translation)[:, None]
+        exists = motion.pairs.to(motion.translation)[:, None]
         add_differences(model.joints, (-1.0, 1.0), term.weight * rate * exists)
     else:
         return energy in _OF_SCENE
@@ -203,10 +201,12 @@ class StageProblem(Problem[Unknowns[Any]]):
     stage: Stage[Any]
     body: BodyModel
     layout: Layout
-    frames: int
-    """Number of steps of all frames of a clip."""
+    motion_size: int
+    """Number of steps of all frames of a clip, 69 of each."""
     hessian_size: int
     """Number of steps of frames and shape, which the Hessian covers."""
+    with_shape: bool
+    """Whether the shape is moved as well."""
 
     @classmethod
     def around(
@@ -224,8 +224,9 @@ class StageProblem(Problem[Unknowns[Any]]):
             motion = unknowns.motion(stage.prior, body)
             base = Unknowns.of(stage.prior, motion, unknowns.scene, body).detach()
         shape = motion.shape.shape[-1] if "shape" in stage.free else 0
-        frames = motion.frames * FRAME
-        return cls(stage, body, Layout.of(base, stage.free), frames, frames + shape), base
+        size = motion.frames * FRAME
+        layout = Layout.of(base, stage.free)
+        return cls(stage, body, layout, size, size + shape, shape > 0), base
 
     @property
     def scene_parts(self) -> list[tuple[str, torch.Size]]:
@@ -246,15 +247,15 @@ class StageProblem(Problem[Unknowns[Any]]):
         """
         with torch.no_grad():
             estimate = base.estimate(self.stage.prior, self.body)
-            return hessians(self.stage, base.variables, estimate, self.hessian_size > self.frames)
+            return hessians(self.stage, base.variables, estimate, self.with_shape)
 
     def after_steps(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
         """Return unknowns `base` after steps, as a differentiable function of the steps."""
         prior: Any = self.stage.prior
-        framed = steps[:, : self.frames].unflatten(1, (-1, FRAME))
+        framed = steps[:, : self.motion_size].unflatten(1, (-1, FRAME))
         variables = prior.from_steps(base.variables, framed)
-        if self.hessian_size > self.frames:
-            shape = base.variables.shape + steps[:, self.frames : self.hessian_size]
+        if self.with_shape:
+            shape = base.variables.shape + steps[:, self.motion_size : self.hessian_size]
             variables = variables.derived(shape=shape)
         scene, start = base.scene, self.hessian_size
         moved: dict[str, Tensor] = {}
@@ -276,7 +277,7 @@ class StageProblem(Problem[Unknowns[Any]]):
             terms = stage.values(estimate)
             (gradient,) = torch.autograd.grad(terms.sum(), zero)
         with torch.no_grad():
-            found = hessians(stage, base.variables, estimate, self.hessian_size > self.frames)
+            found = hessians(stage, base.variables, estimate, self.with_shape)
         return Quadratic(terms.detach(), gradient, found)
 
     def moved(

@@ -70,9 +70,9 @@ class Prior(ABC, Generic[S]):
     methods: ClassVar[tuple[str, ...]] = ()
     """Names of the ways in which it can be fitted, the usual one first; empty if there is one."""
     reach: ClassVar[int] = 0
-    """Frames up to so far apart couple in its terms, at least two, where its variables are linear
-    in steps of frames near the motion they begin at (then `from_steps`, `turns` and
-    `add_curvature` serve second-order minimisers); 0 where they are not."""
+    """How many frames apart two frames may be that one of its terms couples, at least 2. It then
+    has `from_steps`, `turns` and `add_curvature` for second-order minimisers: its variables are
+    linear in steps of frames, near the motion they begin at. 0 if it has none of these."""
 
     @classmethod
     def load(cls, weights: str, body: BodyModel, /) -> "Prior[S]":

@@ -48,7 +48,7 @@ class Estimate:
     @classmethod
     def of_clip(cls, motion: Motion, body: BodyModel) -> "Estimate":
         """Return the estimate of a motion of one clip, as a batch of one, with a plain scene."""
-        clip = motion.map(lambda tensor: tensor[None])
+        clip = motion[None]
         return cls(Decoded(clip), body.pose(clip), Scene.create(1, like=clip.translation))
 
     @property

@@ -88,10 +88,7 @@ class ClipModel:
         """Return derivatives of points (metres) by the steps of their frame, and by the shape."""
         orientations, joints = self.posed
         turned = points.jacobian_by_rotations(orientations, joints)
-        identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
-        moved = identity.expand(*turned.shape[:2], 3, 3)
-        posed = (turned[..., 3:].flatten(1, 2) @ self.turn).unflatten(1, (-1, 3))
-        by_steps = torch.cat((moved, turned[..., :3], posed), -1)
+        by_steps = jacobian_by_steps(turned, self.turn)
         if not self.with_shape:
             return by_steps, by_steps[..., :0]
         return by_steps, points.jacobian_by_shape_of(orientations, self._joints_by_shape)
@@ -108,3 +105,18 @@ class ClipModel:
     @cached_property
     def _joints_by_shape(self) -> Float[Tensor, "time 22 3 shape"]:
         return joint_jacobian_by_shape(self.posed[0], self.body, self.motion.shape.shape[-1])
+
+
+def jacobian_by_steps(
+    by_rotations: Float[Tensor, "time points 3 66"], turns: Float[Tensor, "time 63 63"]
+) -> Float[Tensor, "time points 3 69"]:
+    """Return derivatives of points by the 69 steps of their frame.
+
+    Args:
+        by_rotations: derivatives by the rotation steps of all joints, metres per radian.
+        turns: derivatives of these rotation steps, but the root's, by the last 63 steps.
+    """
+    identity = torch.eye(3, dtype=by_rotations.dtype, device=by_rotations.device)
+    moved = identity.expand(*by_rotations.shape[:2], 3, 3)
+    posed = (by_rotations[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
+    return torch.cat((moved, by_rotations[..., :3], posed), -1)

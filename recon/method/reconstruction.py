@@ -30,8 +30,8 @@ _SLACK = 1e-3
 def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
     """Check a first guess; return it with all shape coefficients, and the body's dtype and device.
 
-    It has to cover the time of at least one observation, or of all, at any rate. Missing last
-    shape coefficients are set to zero.
+    It has to cover the time of one observation or of all of them; its frame rate may be another.
+    Missing last shape coefficients are set to zero.
 
     Raises:
         ValueError: when it has another number of clips, covers another time, has more shape
@@ -48,7 +48,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
             f"start: expected a motion of {counts[0][0]} clips, as observed, got "
             f"{len(start.translation)}"
         )
-    if seen and not (any(_covers_observation(start, one) for one in seen) or _covers(start, seen)):
+    if seen and not (any(_covers_one(start, one) for one in seen) or _covers_all(start, seen)):
         first = seen[0]
         stop = first.start_time + first.duration
         frames = int(first.duration * start.fps + _SLACK) + 1
@@ -74,7 +74,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
     return start.replace(shape=shape).to(device=like.device, dtype=like.dtype)
 
 
-def _covers_observation(start: Motion, seen: Sensor) -> bool:
+def _covers_one(start: Motion, seen: Sensor) -> bool:
     """Return whether a motion covers the time of an observation to within about one frame."""
     start_offset = (start.start_time - seen.start_time) * start.fps
     end_offset = seen.duration * start.fps - (start.frames - 1)
@@ -82,7 +82,7 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
     return abs(start_offset) <= _SLACK and -_SLACK <= end_offset < one_frame - _SLACK
 
 
-def _covers(start: Motion, seen: Sequence[Sensor]) -> bool:
+def _covers_all(start: Motion, seen: Sequence[Sensor]) -> bool:
     """Return whether a motion covers the time of all observations to within half a frame."""
     begin = min(one.start_time for one in seen)
     end = max(one.start_time + one.duration for one in seen)

@@ -22,8 +22,7 @@ from recon.method.unknowns import Layout, Unknowns, objective
 from recon.solver.solution import Solution, joined_in_turn
 
 _ITERATION_SHARE = 3
-"""Part of its iterations that every round of a stage has, where correspondences are found anew."""
-
+"""A stage whose correspondences are found anew in rounds has its iterations divided by this."""
 _ROUGH = 1e-3
 """Relative decrease below which every round but the last ends: correspondences that are about to
 change are not worth more."""

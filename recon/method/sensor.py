@@ -281,15 +281,10 @@ class Sensor(TensorStruct):
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
         """Return the data of every `step`-th frame, or of all frames if most are empty."""
         del body
-        if self._mostly_empty:
+        if 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel():
             return self
         fewer: dict[str, Any] = {"fps": self.fps / step}
         return self.derived(**fewer, **self.fields_at(range(0, self.moments, step)))
-
-    @property
-    def _mostly_empty(self) -> bool:
-        """Whether more than half of the frames show no point."""
-        return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
 
     def with_at_most_points(self: R, most: int) -> R:
         """Return the data with at most `most` points per frame, if its points are unordered."""

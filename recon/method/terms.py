@@ -67,8 +67,7 @@ def joint_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """
     motion = estimate.motion
     step = estimate.body.joints.diff(dim=-3).square().sum((-1, -2))
-    exists = motion.valid[..., 1:] & motion.valid[..., :-1]
-    return 0.5 * step.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS)
+    return 0.5 * step.where(motion.pairs, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS)
 
 
 def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:

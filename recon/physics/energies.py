@@ -94,8 +94,7 @@ def slide(estimate: Estimate) -> Float[Tensor, "*batch"]:
     )
     areas = surface.areas[surface.sole]
     feet = [(cost[..., foot] @ areas[foot]) / areas[foot].sum() for foot in surface.soles]
-    exists = motion.valid[..., 1:] & motion.valid[..., :-1]
-    total = (feet[0] + feet[1]).where(exists, 0.0).sum(-1)
+    total = (feet[0] + feet[1]).where(motion.pairs, 0.0).sum(-1)
     return 0.5 * total * (REFERENCE_FPS / motion.fps)
 
 

@@ -142,15 +142,16 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     last = motion.frames - 2 * step - 1
     nearest = (torch.arange(motion.frames, device=first.device) - step).clamp(0, last)
     old, new = (
-        Dynamics(found.mass, centre_of_mass(posed, mass), *_at_frames(found, nearest))
+        Dynamics(
+            found.mass,
+            centre_of_mass(posed, mass),
+            found.acceleration[nearest],
+            found.spin[nearest],
+        )
         for mass in masses
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
     return torch.stack((zmp_of_humos_code(old), zmp(new)), -2), share_carried(new) >= 0.5
-
-
-def _at_frames(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:
-    return dynamics.acceleration[frames], dynamics.spin[frames]
 
 
 def _surface_samples(

@@ -228,7 +228,7 @@ def cloud_of(
         padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
     camera = None
     if file.camera is not None:
-        view = undistorted_camera(file.camera, T, torch.float64).map(lambda t: t[None])
+        view = undistorted_camera(file.camera, T, torch.float64)[None]
         camera = view.to(device=body.template.device, dtype=body.template.dtype)
     observation = PointCloud(
         points=torch.from_numpy(padded).to(body.template),

@@ -41,7 +41,7 @@ def keypoints_of(
         pixels=torch.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
         points=points,
-        camera=camera.map(lambda t: t[None]),
+        camera=camera[None],
         fps=file.fps,
         start_time=file.start_time,
         sigma=sigma,

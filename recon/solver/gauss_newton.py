@@ -57,9 +57,9 @@ class Problem(ABC, Generic[X]):
     def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
         """Return the objective's terms of the problems `rows` at state x.
 
-        No columns, as without an answer of its own, say that there is no objective: kernels shrink
-        or correspondences are found anew from step to step. Then every step is taken, and what
-        the model promises counts as what it brings.
+        The default, no columns, says that there is no objective, as where kernels shrink or
+        correspondences are found anew from step to step. Every step is then taken, and counts for
+        as much as the model promises.
         """
         del x
         return torch.zeros(len(rows), 0)
@@ -98,7 +98,7 @@ def minimise(
         callback: told of progress after every iteration; True ends all problems where they are.
 
     Returns:
-        The state, and how each problem ended; that has no `x`, zero columns of it.
+        The state, and how each problem ended, a solution whose `x` has no columns.
     """
     runs = [_ProblemRun(options.damping) for _ in range(count)]
     active = torch.arange(count)

@@ -65,9 +65,9 @@ def test_a_window_is_the_motion_at_its_own_times():
     assert torch.allclose(part.translation, wave().at(part.times, 30.0).translation, atol=1e-9)
 
 
-@pytest.mark.parametrize(("start", "stop"), [(-2, 4), (1, -1), (4, 2), (99, 109)])
+@pytest.mark.parametrize(("start", "stop"), [(-2, 4), (1, -1), (4, 2), (99, 109), (4, 99)])
 def test_windows_outside_are_refused(start, stop):
-    """A negative start gave the right frames at wrong times."""
+    """A negative start gave the right frames at wrong times, a late stop fewer than asked."""
     with pytest.raises(ReconError, match=f"got {start} to {stop}"):
         wave().window(start, stop)
 

@@ -89,7 +89,7 @@ def test_the_pose_density_leads_newest_frames_to_the_data(seen):
     window = live._tracking.smoothed
     pose = torch.cat((window.window.pose[:-4], window.window.pose[-4:] + 0.5))
     astray = replace(window, window=replace(window.window, pose=pose))
-    led = astray.with_newest_by_poses()
+    led = astray.newest_refined_by_poses()
 
     def distances(of: SmoothedWindow) -> torch.Tensor:
         joints = of.objective.posed(of.window)[2][-4:]

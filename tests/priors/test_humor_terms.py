@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from priors.humor import collocation
-from priors.humor.collocation import (
+from priors.humor import shooting
+from priors.humor.shooting import (
     bone_length,
     contact_height,
     contact_velocity,
@@ -44,7 +44,7 @@ def golden_estimate(body: BodyModel) -> Estimate:
 )
 def test_energies_equal_the_reference(body: BodyModel, name: str, expected: str) -> None:
     estimate = golden_estimate(body)
-    value = getattr(collocation, name)(estimate)
+    value = getattr(shooting, name)(estimate)
     assert value.shape == (2,)
     torch.testing.assert_close(
         value.sum(), golden("losses")[f"value_{expected}"], rtol=1e-10, atol=0
