@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from recon.core.camera import check_pose
 from recon.core.errors import FormatError
@@ -69,6 +68,8 @@ def camera_table(name: str, camera: CameraArrays) -> str:
     distortion = [0.0] * 4 if camera.distortion is None else camera.distortion.tolist()
     pose = ""
     if camera.T_camera_world is not None:
+        from scipy.spatial.transform import Rotation  # slow to import
+
         vector = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
         translation = camera.T_camera_world[0, :3, 3]
         pose = f"rotation = {vector.tolist()}\ntranslation = {translation.tolist()}\n"

@@ -28,7 +28,6 @@ from recon.keypoints3d.tables import (
     read_arrays,
     read_table,
 )
-from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
 
 _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
@@ -193,6 +192,8 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     Raises:
         FileNotFoundError, ValueError: as `recon.mocap.reader.read_recording` does.
     """
+    from recon.mocap.reader import read_recording  # imported only for recordings
+
     found = read_recording(path, unit=unit, up=up)
     if not isinstance(found, MarkerRecording):
         raise FormatError(f"{path}: expected points, got a skeleton; use `recon convert`")

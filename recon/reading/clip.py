@@ -11,8 +11,6 @@ from recon.detections.tables import holds_detections
 from recon.fitting.ground import camera_above
 from recon.fitting.records import Clip, clip_between
 from recon.fitting.settings import FitSettings
-from recon.formats.calibration import load_cameras
-from recon.formats.depth_images import read_depth_images
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -34,13 +32,9 @@ from recon.keypoints3d.reader import (
     read_points_3d,
 )
 from recon.method.sensor import Sensor
-from recon.reading.clouds import cloud_of
-from recon.reading.images import keypoints_of
 from recon.reading.keypoints3d import points_in_metres
-from recon.reading.places import inside_silhouettes, load_silhouettes
 from recon.reading.points import positions_in_metres, positions_of
 from recon.reading.readers import Reader, read_by, readers
-from recon.reading.views import read_views
 
 _IMAGES, DETECTIONS = {".png"}, {".json", ".csv"}
 Content = ObservationFile | Sensor
@@ -82,6 +76,8 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "expected one person in a clip, got all; run `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, to fit everybody"
             )
+        from recon.reading.views import read_views  # imported only for images
+
         views = read_views(detections, settings, settings.between).views_of_person(settings.person)
         shown = views.files
         if settings.masks is not None:
@@ -90,6 +86,9 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                     f"--masks works with one view, got {len(shown)}; fit one view with its masks, "
                     "or leave --masks out"
                 )
+            # imported only for masks
+            from recon.reading.places import inside_silhouettes, load_silhouettes
+
             mask = load_silhouettes(settings.masks)
             shown = (inside_silhouettes(shown[0], mask, first_frame=views.first_frame),)
         others = len(files)
@@ -261,6 +260,8 @@ def clip_of_files(
     for k in order:
         name, file = files[k]
         if isinstance(file, PointsFile):
+            from recon.reading.clouds import cloud_of  # imported only for clouds
+
             loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
             found[k] = loaded.cloud
             seen = "" if loaded.ground.ground is None else "ground: "
@@ -269,6 +270,8 @@ def clip_of_files(
             if not posed[k] and T is None:
                 T = loaded.T_recording_file
         elif isinstance(file, KeypointsFile):
+            from recon.reading.images import keypoints_of  # imported only for images
+
             view = found[k] = keypoints_of(file, body, None if posed[k] else T)
             if not posed[k] and T is None:
                 T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
@@ -330,6 +333,10 @@ def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
         )
     if settings.camera is None:
         raise ObservationError(f"{path}: depth images need the sensor's calibration (--camera)")
+    # imported only for depth images
+    from recon.formats.calibration import load_cameras
+    from recon.formats.depth_images import read_depth_images
+
     cameras = load_cameras(
         settings.camera,
         unit=settings.camera_unit,

@@ -16,7 +16,6 @@ from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.scans import cloud_files
 from recon.keypoints3d.reader import session_body_file, session_hand_files, session_time_stamps
-from recon.mocap.asf_amc import recording_files
 from recon.reading.places import files_of_views
 
 _IMAGES, _KEYPOINTS = (".png",), (".json",)
@@ -124,7 +123,11 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
         for one in value if isinstance(value, tuple | list) else (value,):
             path = Path(one) if isinstance(one, str) and Path(one).is_file() else one
             if isinstance(path, Path):
-                parts = recording_files(path) if name == "recording" else (path,)
+                parts: Sequence[Path] = (path,)
+                if name == "recording":  # of `recon convert`
+                    from recon.mocap.asf_amc import recording_files
+
+                    parts = recording_files(path)
                 found += [_input_of(name, part) for part in parts]
     return {str(one.path): one.checksum() for one in found}
 

@@ -280,7 +280,8 @@ def _meshes(at: Path) -> Path:
 def _arrays(at: Path) -> Path:
     (at / "clouds").mkdir()
     for t, one in enumerate(of_labels(MHR70)):
-        np.save(at / "clouds" / f"{t}.npy", np.concatenate([one[:21] + 1e-3 * k for k in range(10)]))
+        body = one[:21]  # of the other points, most are at the wrists
+        np.save(at / "clouds" / f"{t}.npy", np.concatenate([body + 1e-3 * k for k in range(10)]))
     return at / "clouds"
 
 
