@@ -171,7 +171,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
             corner = corner + x.knowledge.information + weight * torch.eye(len(shape)).to(shape)
             slope = slope + x.knowledge.gradient(shape) + weight * shape
         return Quadratic(
-            slope.new_tensor([[found.value + x.value_of_shape()]], dtype=torch.float64),
+            slope.new_tensor([[float(found.value) + x.value_of_shape()]], dtype=torch.float64),
             torch.cat((found.gradient.flatten(), slope))[None],
             [Banded(found.inner, found.border, corner)] * len(rows),
         )
