@@ -209,12 +209,13 @@ def detections_of_rows(
         decisions += ("confidences up to 100 were taken as per cent",)
     points = with_clipped_confidences(points)
     PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
-    first = _HANDS_AT.get(points.shape[1], points.shape[1])
+    count = len(points[0])
+    first = _HANDS_AT.get(count, count)
     hands = points[:, first : first + _HANDS]
     hands = hands if (hands[..., 2] > 0).any() else None
     if hands is not None:
         decisions += (f"{_HANDS} points of hands, which fingers are fitted to",)
-    body = points if points.shape[1] in _BY_COUNT else points[:, :first]
+    body = points if count in _BY_COUNT else points[:, :first]
     chosen, body, decision = recognised_layout(body, layout, name)
     return Detections(
         name=name,
