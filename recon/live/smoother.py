@@ -17,12 +17,13 @@ from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 @dataclass(frozen=True)
 class ShapeKnowledge:
-    """The information of past frames about the shape b: the energy ½ bᵀ Λ b - ηᵀ b."""
+    """What past frames tell of the shape b: the energy ½ bᵀ Λ b - ηᵀ b.
+
+    Λ is `information`, η is `pull`.
+    """
 
     information: Float[Tensor, "shape shape"]
-    """Λ, the Hessian of the energy ½ bᵀ Λ b - ηᵀ b of a shape b."""
     pull: Float[Tensor, " shape"]
-    """η of this energy."""
     frames: int
     """Number of frames that it was learned from."""
 
