@@ -75,10 +75,9 @@ def _copy_poses(posed: Motion, placed: Motion) -> Motion:
 
 
 def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Add body-part labels to all clouds, unless a sensor of named points is among the data.
+    """Add body-part labels to all clouds, unless a sensor has named points.
 
-    Where another sensor has named 3D points no labels are added: named points determine the
-    posture better.
+    Named points determine the posture better than labels.
     """
     if any(one.named for one in observations):
         return tuple(observations)

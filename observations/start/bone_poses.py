@@ -118,11 +118,11 @@ class BonePoses(TensorStruct):
         translation: Float[Tensor, "rows 3"],
         root: Float[Tensor, "rows 3 3"],
         coordinates: Float[Tensor, "rows 63"],
-        body: "PoseSolver",
+        solver: "PoseSolver",
     ) -> "BonePoses":
         """Poses of a skeleton from translations, root rotations and pose coordinates."""
-        rotations = torch.cat((root[:, None], body.density.rotations(coordinates)), 1)
-        orientations, joints = forward_kinematics(rotations, body.rest)
+        rotations = torch.cat((root[:, None], solver.density.rotations(coordinates)), 1)
+        orientations, joints = forward_kinematics(rotations, solver.rest)
         joints = joints + translation[:, None]
         bones = torch.cat((orientations, joints[..., None]), -1)
         return cls(translation, root, coordinates, rotations, bones)
@@ -181,12 +181,8 @@ class PoseSolver(TensorStruct):
 
 @dataclass(frozen=True)
 class PoseChangePenalty:
-    """Quadratic penalty on changes of pose between neighbouring frames.
+    """Quadratic penalty on changes of translation, root and pose from each frame to the next."""
 
-    Of translations, root rotations and pose coordinates.
-    """
-
-    linked: Bool[Tensor, " between"]
     place: float
     """Inverse variance of the step of a coordinate of the pelvis, 1 / metres²."""
     turn: float
@@ -196,15 +192,14 @@ class PoseChangePenalty:
 
     def weights_and_gradients(
         self, state: BonePoses
-    ) -> tuple[Float[Tensor, "between 69"], Float[Tensor, "between 69"]]:
+    ) -> tuple[Float[Tensor, " 69"], Float[Tensor, "between 69"]]:
         """Penalty weights, and the penalties' gradients by the later frame of each pair."""
         like = state.translation
-        springs = torch.cat((
+        weight = torch.cat((
             like.new_full((3,), self.place),
             like.new_full((3,), self.turn),
             like.new_full((COORDINATES,), self.coordinates),
         ))  # fmt: skip
-        weight = self.linked.to(like)[:, None] * springs
         between = torch.cat((
             state.translation.diff(dim=0),
             so3.log(state.root[1:] @ state.root[:-1].mT),
@@ -243,7 +238,8 @@ class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
             gradient[1:] += pull
             diagonal[:-1] += weight
             diagonal[1:] += weight
-            inner = torch.stack((own, pad(-weight, (0, 0, 0, 1)).diag_embed()), 1)
+            between = pad(-weight.expand_as(pull), (0, 0, 0, 1)).diag_embed()
+            inner = torch.stack((own, between), 1)
         nothing = own.new_zeros(len(own), own.shape[-1], 0)
         hessian = Banded(inner, nothing, own.new_zeros(0, 0))
         return Quadratic(self.value(x, rows), gradient.flatten()[None], [hessian])

@@ -181,10 +181,7 @@ class _PoseTracker:
         posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
         path = self._cheapest_hypotheses(moments, posed, hypotheses[0])
         rows = path * len(moments.frame_index) + torch.arange(len(path))
-        penalty = PoseChangePenalty(
-            torch.ones(len(path) - 1, dtype=torch.bool),
-            place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
-        )  # fmt: skip
+        penalty = PoseChangePenalty(place=0.1**-2, turn=0.5**-2, coordinates=0.7**-2)
         held = surface.rows(rows)
         found = held.refined_to_surface(
             posed[rows], self.solver, targets[rows], _STEP_SCALES, penalty

@@ -100,7 +100,7 @@ class SeenSurface:
         solver: PoseSolver,
         labelled: BoneTargets,
         sigmas: tuple[float, ...],
-        springs: PoseChangePenalty | None,
+        penalty: PoseChangePenalty | None,
     ) -> BonePoses:
         """Refine poses by a Gauss-Newton step per kernel scale, with new closest points each time.
 
@@ -109,13 +109,13 @@ class SeenSurface:
             solver: of the body.
             labelled: what the labels ask.
             sigmas: scales, metres.
-            springs: between neighbouring moments; None leaves them independent.
+            penalty: on changes between neighbouring frames; None leaves them independent.
         """
 
         def targets(now: BonePoses) -> BoneTargets:
             return concatenate([labelled, self._targets(now)], dim=1)
 
-        return solver.minimised(state, targets, sigmas, springs)
+        return solver.minimised(state, targets, sigmas, penalty)
 
     def _targets(self, state: BonePoses) -> BoneTargets:
         """Match points with their nearest surface discs; return these as targets of bones."""

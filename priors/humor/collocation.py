@@ -182,16 +182,12 @@ class Collocation(Prior[PoseVariables]):
         """Three stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
 
         Feet come last, because wrongly standing feet of a first guess would be held there. Where
-        limbs are not seen for a while, a stage before that begins from two proposed motions of
-        theirs, and the one of the lower objective goes on. Where limbs are never seen, states must
-        be likely, too, gravity asks for a foot that carries the body, and motions faster than the
-        networks know are read slower.
+        limbs are not seen for a while, there is a stage more, see `_stages_of_unseen_limbs`.
 
         Tolerances were chosen on the validation windows. Where all joints are seen, ten times
-        smaller ones take longer and leave the errors as they are. Where legs are never seen,
-        smaller ones make the errors of the legs larger: the networks alone decide there, and their
-        optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
-        images are fitted. So do clouds, in which limbs may be hidden without being marked so.
+        smaller ones take longer and leave the errors as they are. Limbs that are hidden for a
+        while need smaller ones, unless only images are fitted. So do clouds, in which limbs may be
+        hidden without being marked so.
         """
         del noise, body, method  # unused: the constructor got weights for the sensors' noise
         w = self.weights
@@ -207,41 +203,54 @@ class Collocation(Prior[PoseVariables]):
         )
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
-        poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
         early, late = (2e-2, 3e-4) if in_images else (2e-3, 3e-5)
-        compared = LBFGS(max_iterations=_COMPARED, tolerance_decrease=early)
-        limbs = Stage("limbs", self, terms, free, compared, kept=1)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
         last = LBFGS(max_iterations=400, tolerance_decrease=late, scale=_FITTED, history=40)
         feet = Stage("contacts", self, (*terms, held), free, last, second_order=preconditioned)
+        if not all_joints_located(data, self.humor.body):
+            compared = LBFGS(max_iterations=_COMPARED, tolerance_decrease=early)
+            limbs = Stage("limbs", self, terms, free, compared, kept=1)
+            if found := self._stages_of_unseen_limbs(data, limbs, feet):
+                smooth = replace(poses.minimiser, tolerance_decrease=1e-3)
+                return root, replace(poses, minimiser=smooth), *found
         rough = replace(poses.minimiser, tolerance_decrease=1e-2)
         ended = replace(last, tolerance_decrease=late if surface else 3e-4)
-        whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
-        if all_joints_located(data, self.humor.body):
-            return whole
+        return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
+
+    def _stages_of_unseen_limbs(
+        self, data: tuple[Term, ...], limbs: Stage[Any], feet: Stage[Any]
+    ) -> tuple[Stage[Any], ...]:
+        """Return the last stages where limbs are not seen for a while; none where all are seen.
+
+        `limbs` begins from two proposed motions of them, and the one of the lower objective goes
+        on to `feet`. Where limbs are never seen, states must be likely, too, gravity asks for a
+        foot that carries the body, and motions faster than the networks know are read slower.
+        There, smaller tolerances make the errors of legs larger: the networks alone decide, and
+        their optimum is not the truth.
+        """
         # imported only when some joints may be hidden for a while
         from priors.look.looking import UnseenLimbProposals, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
-            return whole
+            return ()
         network = load_network(device=self.humor.body.template.device)
         limbs = replace(limbs, proposals=UnseenLimbProposals(network, unseen))
         if not bool(unseen.never.any()):
-            return root, poses, limbs, feet
+            return limbs, feet
         # imported only when limbs are never seen
         from priors.humor.likely import LikelyStates, slowing_factor
         from recon.physics.support import SupportEnergy
 
+        w = self.weights
         carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
         read = replace(self, tempo=slowing_factor(data))
         all_terms = (*feet.terms, carried, likely)
         limbs = replace(limbs, prior=read, terms=all_terms, second_order=preconditioned)
-        longer = replace(last, tolerance_decrease=1e-4)
-        feet = replace(feet, prior=read, terms=all_terms, minimiser=longer)
-        return root, poses, limbs, feet
+        ended = replace(feet.minimiser, tolerance_decrease=1e-4)
+        return limbs, replace(feet, prior=read, terms=all_terms, minimiser=ended)
 
 
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:

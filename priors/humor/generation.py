@@ -267,17 +267,15 @@ def predict(
     def repeated(tensor: Tensor) -> Tensor:
         return tensor.expand(samples, *tensor.shape).flatten(0, 1)
 
-    last = motion.stop_time
-    shape = repeated(motion.shape)
     return roll_out_from(
         humor,
         first.map(repeated),
-        shape,
+        repeated(motion.shape),
         frames,
         random,
         temperature=temperature,
         footing=footing,
-        start_time=last,
+        start_time=motion.stop_time,
     )
 
 

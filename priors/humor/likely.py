@@ -65,7 +65,8 @@ class LikelyStates(TensorStruct):
     humor: Humor
     """Prior whose mixture of initial states is the density."""
     unseen: Bool[Tensor, "clips 22"]
-    """Joints that nobody saw (`priors.humor.limbs`); clips without any have no energy."""
+    """Joints that nobody saw (`priors.look.looking.UnseenLimbs.never`); clips without any have no
+    energy."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
         """Σ_t ρ(r_t), nats: robust kernel ρ of the rarity r_t of states in their canonical frames.

@@ -201,16 +201,12 @@ class Shooting(Prior[HumorVariables]):
 
         return (
             *stage(
-                "first state", (*always, *contacts), _STATE | _REST, schedule.first, _first_frames
+                "first state", (*always, *contacts), _STATE | _REST, schedule.first,
+                lambda variables: variables.first_frames(FIRST_FRAMES),
             ),
             *stage("latents", always, _REST, schedule.latents),
             *stage("all", (*always, *contacts), _STATE | _REST, schedule.all),
-        )
-
-
-def _first_frames(variables: HumorVariables) -> HumorVariables:
-    """The variables of the first 15 frames, which the first phase is fitted to."""
-    return variables.first_frames(FIRST_FRAMES)
+        )  # fmt: skip
 
 
 def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:

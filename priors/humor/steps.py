@@ -262,12 +262,12 @@ class CollocationWeights:
     def for_noise(cls, noise: float) -> "CollocationWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate.
 
-        Chosen on validation subjects (abaa3a0: benchmarks/tune_humor.py). A calibrated bound
-        would have multipliers of noise² for both of its parts; errors of neighbouring steps
-        repeat each other, so less is better. Where points are exact, 14 mm remain, and 18.5 mm
-        for steps: nobody moves just like the people of the corpus. The steps tell how smooth a
-        motion is; a twenty-fifth of the pose prior's smoothness is left, which would make
-        accelerations small.
+        Chosen on validation people. The bound on -log p(x_t | x_(t-1)) has noise² as the weight of
+        both of its parts, `step` and `latents`, but errors of neighbouring steps are correlated,
+        so smaller weights are better. Where points are exact, 14 mm of noise are assumed, and 18.5
+        mm for steps: nobody moves just like the people of the corpus. The steps tell how smooth a
+        motion is, so a twenty-fifth of the pose prior's smoothness suffices; all of it would make
+        accelerations too small.
         """
         pose = PoseWeights.for_noise(noise)
         variance = max(noise, 0.014) ** 2

@@ -16,7 +16,6 @@ from priors.humor.loop import (
     VECTORS,
     FrozenDecoder,
     HeadingRotation,
-    RolledOutSteps,
     roll_out_with_biases,
 )
 from priors.humor.networks import STATE
@@ -226,10 +225,7 @@ def roll_out(
         latents: of every step.
     """
     added = decoder.constant_inputs(latents.transpose(0, 1), pelvis)
-    return _rollout(roll_out_with_biases(decoder, _to_decoder_order(start, pelvis), added), pelvis)
-
-
-def _rollout(steps: RolledOutSteps, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
+    steps = roll_out_with_biases(decoder, _to_decoder_order(start, pelvis), added)
     _, move, contacts = (t.transpose(0, 1) for t in steps.rest.split((SPIN, 2, 9), -1))
     reached, turns = steps.vectors.transpose(0, 1), steps.turns.transpose(0, 1)
     translation = torch.cat((move, reached[..., -1:]), -1)

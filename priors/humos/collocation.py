@@ -2,7 +2,7 @@
 
 The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
 networks: how surprising are its codes, and how far from it do they decode. Both together bound
--log p(motion), as in training. Moving codes instead converges slowly (abaa3a0: `CodesFit`).
+-log p(motion), as in training. Moving codes instead converges slowly.
 """
 
 from dataclasses import dataclass, field, replace

@@ -2,9 +2,9 @@
 
 64 points far from each other look at the points around them; a transformer lets these centres look
 at each other and, through one token for each moment, at other moments; then every point takes
-what the centres around it found out. Which of two alike sides is the left one, all points of a
-moment have in common: it is said apart, by the direction from right to left that the moment's
-token finds (`priors.labels.networks`).
+what the centres around it found out. Which of two sides that look alike is the left one is the
+same for all points of a moment: so it is one output per moment, `RawLabels.sides`, which compares
+the direction from right to left of the points' places with the one that the moment's token finds.
 """
 
 from dataclasses import dataclass

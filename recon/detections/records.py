@@ -200,19 +200,8 @@ def detections_of_rows(
             "keypoints with a confidence above zero; run the detector again, write its "
             "confidences, or leave this view out"
         )
-    lengths = sorted({len(row[1]) for row in rows})
-    if len(lengths) == 2 and _HANDS_AT.get(lengths[1]) == lengths[0]:
-        rows = [
-            (frame, np.pad(points, ((0, lengths[1] - len(points)), (0, 0))), who)
-            for frame, points, who in rows
-        ]
-    elif len(lengths) > 1:
-        raise FormatError(
-            f"{name}: expected the same number of keypoints for all people, got "
-            f"{' and '.join(map(str, lengths))}"
-        )
     _check_sizes(name, frame_numbers, rows)
-    points = np.stack([row[1] for row in rows])
+    points = _stacked_keypoints(name, [row[1] for row in rows])
     SCORE.check(points[..., 2], name, "[person, keypoint]", seen=np.isfinite(points[..., 2]))
     given = points[..., 2][points[..., 2] > 0]
     if len(given) > 0 and _PERCENT < float(np.median(given)) <= given.max() <= 100:
@@ -220,25 +209,42 @@ def detections_of_rows(
         decisions += ("confidences up to 100 were taken as per cent",)
     points = with_clipped_confidences(points)
     PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
-    hands, count = None, points.shape[1]
-    if (first := _HANDS_AT.get(count)) is not None:
-        hands = points[:, first : first + _HANDS]
-        hands = hands if (hands[..., 2] > 0).any() else None
-        points = points if count in _BY_COUNT else points[:, :first]
-    chosen, points, decision = recognised_layout(points, layout, name)
+    count = len(points[0])
+    first = _HANDS_AT.get(count, count)
+    hands = points[:, first : first + _HANDS]
+    hands = hands if (hands[..., 2] > 0).any() else None
     if hands is not None:
         decisions += (f"{_HANDS} points of hands, which fingers are fitted to",)
+    body = points if count in _BY_COUNT else points[:, :first]
+    chosen, body, decision = recognised_layout(body, layout, name)
     return Detections(
         name=name,
         layout=chosen,
         frame_numbers=np.array(frame_numbers, dtype=np.int64),
         frame=np.array([row[0] for row in rows], dtype=np.int64),
-        pixels=points[..., :2],
-        confidence=points[..., 2],
+        pixels=body[..., :2],
+        confidence=body[..., 2],
         identity=np.array([row[2] for row in rows], dtype=np.int64),
         hands=hands,
         decisions=(*decisions, decision),
     )
+
+
+def _stacked_keypoints(
+    name: str, keypoints: Sequence[Float[np.ndarray, "points 3"]]
+) -> Float[np.ndarray, "rows points 3"]:
+    """Stack everybody's keypoints; who has none of the hands that others have gets zeros there."""
+    lengths = sorted({len(one) for one in keypoints})
+    if len(lengths) > 1 and lengths != [_HANDS_AT.get(lengths[-1]), lengths[-1]]:
+        raise FormatError(
+            f"{name}: expected the same number of keypoints for all people, got "
+            f"{' and '.join(map(str, lengths))}"
+        )
+    longest = lengths[-1]
+    return np.stack([
+        one if len(one) == longest else np.pad(one, ((0, longest - len(one)), (0, 0)))
+        for one in keypoints
+    ])  # fmt: skip
 
 
 def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:

@@ -129,22 +129,18 @@ class SeenBackground:
         )  # fmt: skip
         value, damping = problem.cost(), 1e-4
         for _ in range(steps):
-            kept, step = (self.R, self.t, self.X, self.focal), problem.linearised()
-            while not (now := self._cost_after(step, damping, problem)) < value:
+            kept, take_step = (self.R, self.t, self.X, self.focal), problem.linearised()
+            take_step(damping)
+            while not (now := problem.cost()) < value:
                 self.R, self.t, self.X, self.focal = kept
                 damping *= 10
                 if damping > _MOST_DAMPING:
                     return
+                take_step(damping)
             gain, value = value - now, now
             damping = max(damping / 10, _LEAST_DAMPING)
             if gain < _SMALL_GAIN * value:
                 return
-
-    def _cost_after(
-        self, step: Callable[[float], None], damping: float, problem: "_Adjustment"
-    ) -> float:
-        step(damping)
-        return problem.cost()
 
 
 @dataclass(frozen=True)
@@ -177,53 +173,72 @@ class _Adjustment:
 
     def linearised(self) -> Callable[[float], None]:
         """Linearise the objective here; return a function that takes a step of given damping."""
-        scene, rows = self.scene, self.rows
-        k, p = scene.picture[rows], scene.point[rows]
-        there = scene.points_in_cameras(rows)
+        off, D, columns = self._weighted_errors()
+        H, g = self._with_priors(columns.T @ columns, columns.T @ off.ravel())
+        if self.points_move:
+            return self._step_without_points(off, D, columns, H, g)
+        return lambda damping: self._apply_step(
+            -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g), None
+        )
+
+    def _weighted_errors(
+        self,
+    ) -> tuple[Float[np.ndarray, "rows 2"], Float[np.ndarray, "rows 2 3"], Any]:
+        """Return reprojection errors, and their derivatives by what is observed and by the camera.
+
+        The first derivatives are by points in the frames of their cameras; the others, a sparse
+        matrix, by all moved poses (rotations about the cameras' centres, then translations) and,
+        if it is free, by the logarithm of the focal length. All are multiplied by the square root
+        of the weight (1 + r²)⁻² of iteratively reweighted least squares.
+        """
+        scene, k = self.scene, self.scene.picture[self.rows]
+        there = scene.points_in_cameras(self.rows)
         front = there[:, 2] > _CLOSEST
         z = np.where(front, there[:, 2], 1.0)[:, None]
         seen = there[:, :2] / z
-        off = scene.focal * seen - scene.places[rows]
-        # square root of the weight (1 + r²)⁻² in iteratively reweighted least squares
+        off = scene.focal * seen - scene.places[self.rows]
         root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
         off, root = off * root[:, None], root[:, None, None]
-        D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
+        D = np.concatenate((np.tile(np.eye(2), (len(k), 1, 1)), -seen[:, :, None]), 2)
         D *= scene.focal * root / z[:, None]
-        # derivatives by a rotation of the camera about its centre, then by its translation
         cross = so3.hat(torch.from_numpy(there)).numpy()
-        poses = np.concatenate((-D @ cross, D * scene.X[p, 3][:, None, None]), 2)
-        count = int(self.moved.sum())
-        number = np.cumsum(self.moved) - 1
-        columns = _sparse_blocks(
-            poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count
-        )
+        w = scene.X[scene.point[self.rows], 3][:, None, None]
+        poses = np.concatenate((-D @ cross, D * w), 2) * self.moved[k][:, None, None]
+        number = np.maximum(np.cumsum(self.moved)[k] - 1, 0)
+        columns = _sparse_blocks(poses, number, int(self.moved.sum()))
         if self.focal_std is not None:
             zoom = sparse.csr_array((scene.focal * seen * root[:, 0]).reshape(-1, 1))
             columns = sparse.hstack((columns, zoom), format="csr")
-        H, g = columns.T @ columns, columns.T @ off.ravel()
+        return off, D, columns
+
+    def _with_priors(self, H: Any, g: np.ndarray) -> tuple[Any, np.ndarray]:
+        """Add the terms without points to normal matrix and gradient: steadiness, focal length."""
         if self.steadiness_std is not None:
-            inner = max(count - 2, 0)
-            row = np.arange(inner).repeat(3)
-            column = row + np.tile([0, 1, 2], inner)
-            values = np.tile([1.0, -2.0, 1.0], inner)
-            diff = sparse.csr_array((values, (row, column)), shape=(inner, count))
-            shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in scene.R[self.moved]]
-            Jd = (
-                sparse.kron(diff, sparse.eye_array(3))
-                @ sparse.block_diag(shift)
-                / self.steadiness_std
-            )
+            one: Any = sparse.eye_array(int(self.moved.sum()), format="csr")
+            bend = sparse.kron(one[:-2] - 2 * one[1:-1] + one[2:], sparse.eye_array(3))
+            shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in self.scene.R[self.moved]]
+            Jd = bend @ sparse.block_diag(shift) / self.steadiness_std
             H, g = H + Jd.T @ Jd, g + Jd.T @ self.second_differences().ravel()
         if self.focal_std is not None:
             last = np.zeros(len(g))
-            last[-1] = 1 / self.focal_std
-            H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(scene.focal)
-        if not self.points_move:
-            return lambda damping: self._apply_step(
-                -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
-                None,
-            )
-        used, which = np.unique(p, return_inverse=True)
+            last[-1] = self.focal_std**-2
+            H, g = H + sparse.diags_array(last), g + last * np.log(self.scene.focal)
+        return H, g
+
+    def _step_without_points(
+        self,
+        off: Float[np.ndarray, "rows 2"],
+        D: Float[np.ndarray, "rows 2 3"],
+        columns: Any,
+        H: Any,
+        g: Float[np.ndarray, " n"],
+    ) -> Callable[[float], None]:
+        """Return a function that takes a damped step, for which points are eliminated (Schur).
+
+        Points move perpendicular to themselves, as they are homogeneous and of length one.
+        """
+        scene, k = self.scene, self.scene.picture[self.rows]
+        used, which = np.unique(scene.point[self.rows], return_inverse=True)
         basis = _perpendicular_bases(scene.X[used])
         Jp = D @ np.concatenate((scene.R[k], scene.t[k][:, :, None]), 2) @ basis[which]
         Hpp, gp = np.zeros((len(used), 3, 3)), np.zeros((len(used), 3))

@@ -77,8 +77,9 @@ def first_window(
         seen = [append_frames(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
     proposed = _proposed_motion(seen, noise, person.shape, body)
-    chosen = proposed or _fitted_motion(seen, noise, person.shape, body, poses)
-    motion, offsets, rows, noises = chosen
+    motion, offsets, rows, noises = proposed or _fitted_motion(
+        seen, noise, person.shape, body, poses
+    )
     trackers: tuple[Tracker, ...] = tuple(
         one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
     )

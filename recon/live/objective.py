@@ -125,7 +125,7 @@ class Equations:
     frames and db that of the shape.
     """
 
-    value: float
+    value: Float[Tensor, ""]
     gradient: Float[Tensor, "active 69"]
     inner: Float[Tensor, "active reach_and_one 69 69"]
     """Blocks of the Hessian A: [t, k] couples the frames t and t + k; `alone` is included."""
@@ -211,41 +211,17 @@ class Objective:
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
         """Return the quadratic model in the last frames, which `seen` covers; others are held."""
         rotations, orientations, joints = self.posed(window)
-        held, active = window.frames - seen[0].moments, seen[0].moments
-        pose = window.pose[held:]
+        held = window.frames - seen[0].moments
+        pose, own = window.pose[held:], (orientations[held:], joints[held:])
         turns = self.density.turns(pose)
-        own = orientations[held:], joints[held:]
-        weight = self.weights.pose * self.scale_to_30_hz
-        count = len(self.shape) if with_shape else 0
-        value = weight * pose.square().sum()
-        gradient = pad(2 * weight * pose, (6, 0))
-        alone = torch.diag_embed(pad(pose.new_full(pose.shape, 2 * weight), (6, 0)))
-        border = pose.new_zeros(active, FRAME, count)
-        corner = pose.new_zeros(active, count, count)
-        gradient_shape = pose.new_zeros(active, count)
-        for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
-            model = sensor.point_model(points.positions(*own))
-            jacobian = jacobian_by_steps(points.jacobian_by_rotations(*own), turns)
-            pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
-            columns = jacobian.flatten(1, 2)
-            down = scale * model.gradient.flatten(1)[:, None]
-            value = value + scale * model.value
-            gradient = gradient + (down @ columns)[:, 0]
-            alone = alone + columns.mT @ pulled
-            if with_shape:
-                by_shape = points.jacobian_by_shape(own[0], self.body).flatten(1, 2)
-                border = border + pulled.mT @ by_shape
-                flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
-                corner = corner + by_shape.mT @ flat
-                gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
-        gradient_alone = gradient
+        alone = self._equations_of_single_frames(pose, own, turns, seen, with_shape)
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         # rows of differences p_(t+1) - 2 p_t + p_(t-1) that contain a frame that may move
         second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
         column = jacobian_by_steps(self.joints.jacobian_by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
-        gradient = gradient + (force[:, None] @ column)[:, 0]
-        value = value + 0.5 * self.stiffness * bend.square().sum()
+        gradient = alone.gradient + (force[:, None] @ column)[:, 0]
+        value = alone.value + 0.5 * self.stiffness * bend.square().sum()
         hessian = Banded.zero(window.frames, self.reach, FRAME, 0, pose)
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
@@ -256,16 +232,51 @@ class Objective:
             self.steps.add_curvature(motion, evaluated, hessian, of_joints)
         inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
         inner.add_products(of_joints[held:], column, column[..., :0])
-        inner.inner[:, 0] += alone
+        inner.inner[:, 0] += alone.alone
+        return replace(alone, value=value, gradient=gradient, inner=inner.inner)
+
+    def _equations_of_single_frames(
+        self,
+        pose: Float[Tensor, "active 63"],
+        bones: tuple[Float[Tensor, "active 22 3 3"], Float[Tensor, "active 22 3"]],
+        turns: Float[Tensor, "active 63 63"],
+        seen: Sequence[Tracker],
+        with_shape: bool,
+    ) -> Equations:
+        """Return the quadratic model of the terms of one frame each: data and density of poses.
+
+        Args:
+            pose: coordinates of the active frames.
+            bones: orientations and joints (metres) there.
+            turns: derivatives of joint rotations by `pose`.
+            seen: data of these frames.
+            with_shape: whether the shape is a variable; if not, it has no columns.
+        """
+        weight = self.weights.pose * self.scale_to_30_hz
+        active, count = len(pose), len(self.shape) if with_shape else 0
+        value = weight * pose.square().sum()
+        gradient = pad(2 * weight * pose, (6, 0))
+        alone = torch.diag_embed(pad(pose.new_full(pose.shape, 2 * weight), (6, 0)))
+        border = pose.new_zeros(active, FRAME, count)
+        corner = pose.new_zeros(active, count, count)
+        gradient_shape = pose.new_zeros(active, count)
+        for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
+            model = sensor.point_model(points.positions(*bones))
+            jacobian = jacobian_by_steps(points.jacobian_by_rotations(*bones), turns)
+            pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
+            columns = jacobian.flatten(1, 2)
+            down = scale * model.gradient.flatten(1)[:, None]
+            value = value + scale * model.value
+            gradient = gradient + (down @ columns)[:, 0]
+            alone = alone + columns.mT @ pulled
+            if with_shape:
+                by_shape = points.jacobian_by_shape(bones[0], self.body).flatten(1, 2)
+                border = border + pulled.mT @ by_shape
+                flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
+                corner = corner + by_shape.mT @ flat
+                gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
         return Equations(
-            value=float(value),
-            gradient=gradient,
-            inner=inner.inner,
-            alone=alone,
-            gradient_alone=gradient_alone,
-            border=border,
-            corner=corner,
-            gradient_shape=gradient_shape,
+            value, gradient, alone[:, None], alone, gradient, border, corner, gradient_shape
         )
 
     def _prior_energy_and_gradient(

@@ -17,12 +17,13 @@ from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 @dataclass(frozen=True)
 class ShapeKnowledge:
-    """The information of past frames about the shape b: the energy ½ bᵀ Λ b - ηᵀ b."""
+    """What past frames tell of the shape b: the energy ½ bᵀ Λ b - ηᵀ b.
+
+    Λ is `information`, η is `pull`.
+    """
 
     information: Float[Tensor, "shape shape"]
-    """Λ, the Hessian of the energy ½ bᵀ Λ b - ηᵀ b of a shape b."""
     pull: Float[Tensor, " shape"]
-    """η of this energy."""
     frames: int
     """Number of frames that it was learned from."""
 
@@ -171,7 +172,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
             corner = corner + x.knowledge.information + weight * torch.eye(len(shape)).to(shape)
             slope = slope + x.knowledge.gradient(shape) + weight * shape
         return Quadratic(
-            slope.new_tensor([[found.value + x.value_of_shape()]], dtype=torch.float64),
+            slope.new_tensor([[float(found.value) + x.value_of_shape()]], dtype=torch.float64),
             torch.cat((found.gradient.flatten(), slope))[None],
             [Banded(found.inner, found.border, corner)] * len(rows),
         )

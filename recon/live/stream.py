@@ -139,7 +139,7 @@ class Stream:
         """Return the estimates that are not final yet, and reset the stream for new data."""
         with torch.no_grad():
             newest = self._newest_with_findings(self._end_tracking())
-            self._last_returned = None
+            self._last = self._last_returned = None
             return () if newest is None else (*newest.earlier, replace(newest, earlier=()))
 
     def _push_moment(self, seen: Any, time: float | None) -> LiveEstimate | None:
@@ -169,6 +169,7 @@ class Stream:
         if steps < 1 and self._only_first_pushed:
             # if the first time is wrong, all later moments would seem late: begin with the second
             self._end_tracking()
+            self._last = None
             self._add_finding(
                 "frame order",
                 f"the first moment, at {last:.3f} s, was left out: the second is at "
@@ -204,7 +205,7 @@ class Stream:
             self._add_finding(
                 "gap", f"at {self._last:.3f} s, nobody has been seen for {GONE_S:g} s"
             )
-            done += self._end_tracking(keep_clock=True)
+            done += self._end_tracking()
         return self._newest_with_findings(done)
 
     def _insert_late(self, moment: Moment, frames_back: int) -> None:
@@ -236,7 +237,7 @@ class Stream:
             )
             return None
         newest = self._newest_with_findings(self._end_tracking())
-        self._last_returned = None
+        self._last = self._jumped_to = self._last_returned = None
         self._add_finding("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
         after = self._push_in_sequence([moment], sensors)
         assert after is None, "a first motion takes several moments"
@@ -269,10 +270,9 @@ class Stream:
             sensors, self._lag, rows, self._person, self._body, self._poses, self._prior
         )
 
-    def _end_tracking(self, keep_clock: bool = False) -> list[LiveEstimate]:
+    def _end_tracking(self) -> list[LiveEstimate]:
+        """End the person's tracking, keep their shape, and return estimates not yet returned."""
         tracking, self._tracking = self._tracking, None
-        if not keep_clock:
-            self._last = self._jumped_to = None
         if tracking is None:
             return []
         done = tracking.finish(self._findings)

@@ -158,9 +158,8 @@ def _common_ground(
             height = np.where(height > 0, _pseudo_huber_residual(height), height)
             out.append(height / np.sqrt(len(spots)))
             lean = (up - normal) / upright
-            out.append(
-                lean * _pseudo_huber_residual(size := np.linalg.norm(lean)) / max(size, 1e-9)
-            )
+            size = np.linalg.norm(lean)
+            out.append(lean * _pseudo_huber_residual(size) / max(size, 1e-9))
         return np.concatenate(out)
 
     altitude = max(float(np.mean([-(spots @ mean).min() for spots in places])), 0.1)
@@ -190,6 +189,7 @@ def _motion_in_shared_world(
     carried = motion.carried(
         torch.from_numpy(T).to(motion.translation), body.rest_joints(motion.shape)[0]
     )
-    anyhow = torch.eye(body.shape_size).to(motion.shape)
+    every_direction = torch.eye(body.shape_size).to(motion.shape)
     tall = factor * float(body.height(motion.shape))
-    return carried.replace(shape=nearest_shape(motion.shape, (body.height,), (tall,), anyhow))
+    shape = nearest_shape(motion.shape, (body.height,), (tall,), every_direction)
+    return carried.replace(shape=shape)

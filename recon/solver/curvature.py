@@ -61,10 +61,6 @@ class Curvature:
         for name in ("pairs", "sy", "yy", "products", "live", "scale", "count"):
             setattr(self, name, getattr(self, name)[rows])
 
-    def forget(self, rows: Int64[Tensor, " rows"]) -> None:
-        """Discard the stored pairs of the given elements, so that they use steepest descent."""
-        self.live[rows] = False
-
     def add(
         self,
         rows: Int64[Tensor, " rows"],

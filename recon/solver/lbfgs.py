@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
-from recon.solver.line_search import WolfeConditions
+from recon.solver.line_search import TrialOutcome, WolfeConditions
 from recon.solver.solution import Objective as Objective
 from recon.solver.solution import Progress as Progress
 from recon.solver.solution import Solution as Solution
@@ -134,7 +134,7 @@ def _minimise(
         verdict = searches.advance(value, slope, origin_slope, wolfe)
         active.improve(verdict.improved, x, gradient, terms, largest)
         state.evaluations[active.number] = evaluations
-        spent = settings.max_evaluations is not None and evaluations >= settings.max_evaluations
+        spent = state.evaluations[active.number] >= (settings.max_evaluations or np.inf)
         finished = verdict.finished | spent
         if not finished.any():
             continue
@@ -145,27 +145,19 @@ def _minimise(
         size = np.maximum(np.abs(searches.origin), settings.scale)
         least = max(settings.tolerance_decrease, resolution) * size
         flat = ~active.steepest & ~verdict.unreachable & (-origin_slope <= least)
-        reason = _first_reason(
-            (moved & (active.largest <= settings.tolerance_gradient), Termination.GRADIENT),
-            (moved & (active.stalled >= settings.patience), Termination.CONVERGED),
-            (verdict.unmoved & flat, Termination.CONVERGED),
-            (active.steepest & verdict.unreachable, Termination.NONFINITE),
-            (active.steepest & verdict.unmoved, Termination.LINE_SEARCH),
-            (
-                state.iterations[active.number] >= settings.max_iterations,
-                Termination.ITERATION_LIMIT,
-            ),
-            (np.full(len(moved), spent), Termination.EVALUATION_LIMIT),
-        )
+        many = state.iterations[active.number] >= settings.max_iterations
+        reason = _reasons_to_end(settings, active, verdict, moved, flat, many, spent)
         state.record_ends(active, reason)
         goes_on = reason == GOES_ON
         active.keep(goes_on)
         if (finished & goes_on).any():
             active.restart_searches(finished[goes_on], moved[goes_on])
-        if callback is None or not moved.any():
-            continue
-        # only `True` stops: callbacks may return anything else
-        if callback(state.progress(active, evaluations)) is True:
+        if (
+            callback is not None
+            and moved.any()
+            # only `True` stops: callbacks may return anything else
+            and callback(state.progress(active, evaluations)) is True
+        ):
             state.record_steps(active, active.searches.low[0] > 0)  # steps to lower values only
             every_active = np.full(len(active.number), True)
             state.record_ends(active, _first_reason((every_active, Termination.STOPPED)))
@@ -184,6 +176,31 @@ def _reasons_to_end_at_start(
         (largest <= settings.tolerance_gradient, Termination.GRADIENT),
         (np.full(len(value), settings.max_iterations == 0), Termination.ITERATION_LIMIT),
         (np.full(len(value), settings.max_evaluations == 1), Termination.EVALUATION_LIMIT),
+    )
+
+
+def _reasons_to_end(
+    settings: LBFGS,
+    active: ActiveElements,
+    verdict: TrialOutcome,
+    moved: Bool[np.ndarray, " active"],
+    flat: Bool[np.ndarray, " active"],
+    many: Bool[np.ndarray, " active"],
+    spent: Bool[np.ndarray, " active"],
+) -> Int64[np.ndarray, " active"]:
+    """Return, per element, the reason to end after a trial as its index, or GOES_ON.
+
+    Of the masks, `moved` are searches that ended with a step, `flat` where the full quasi-Newton
+    step promises too little, `many` and `spent` where no iteration or evaluation is left.
+    """
+    return _first_reason(
+        (moved & (active.largest <= settings.tolerance_gradient), Termination.GRADIENT),
+        (moved & (active.stalled >= settings.patience), Termination.CONVERGED),
+        (verdict.unmoved & flat, Termination.CONVERGED),
+        (active.steepest & verdict.unreachable, Termination.NONFINITE),
+        (active.steepest & verdict.unmoved, Termination.LINE_SEARCH),
+        (many, Termination.ITERATION_LIMIT),
+        (spent, Termination.EVALUATION_LIMIT),
     )
 
 

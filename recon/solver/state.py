@@ -114,7 +114,7 @@ class ActiveElements:
         If the element moved, its step enters the history; if not, its history is cleared.
         """
         rows = self.indices(moved)
-        self.curvature.forget(self.indices(finished & ~moved))
+        self.curvature.live[self.indices(finished & ~moved)] = False
         if len(rows) > 0:
             step = self.best_x[rows].double() - self.x[rows].double()
             self.curvature.add(rows, step, self.best_gradient[rows] - self.gradient[rows])
