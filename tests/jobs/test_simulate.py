@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from recon.api.simulate import simulate
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
@@ -125,6 +126,16 @@ def test_things_are_hidden_during_their_time_alone(clip, walk, tmp_path):
     truth = keypoints(path).truth_visible
     assert truth is not None
     assert truth[:, [7, 8]].all(1).tolist() == [True, True, False, False, True, True]
+
+
+def test_any_two_opposite_corners_give_a_box(walk):
+    """A box whose first corner was not the lower one hid nothing, without a word."""
+    low, high = (-9.0, -9.0, -1.0), (9.0, 9.0, 0.5)
+    boxes = (low, high), (high, low), ((-9.0, 9.0, 0.5), (9.0, -9.0, -1.0))
+    seen = [simulate(walk, "joints3d", hide_box=box).files[""].visible for box in boxes]
+    assert not seen[0][:, [7, 8]].any()  # ankles
+    assert (seen[1] == seen[0]).all()
+    assert (seen[2] == seen[0]).all()
 
 
 def test_a_moving_camera_has_a_pose_per_frame(clip, tmp_path):
