@@ -1,5 +1,6 @@
 """`recon simulate` for cameras: which cameras there are, what they keep, and what is refused."""
 
+import inspect
 import math
 from dataclasses import replace
 from importlib import resources
@@ -19,6 +20,7 @@ from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile,
 from recon.formats.scans import read_scans
 from recon.simulation.images import cameras_around
 from recon.simulation.points import Corruption
+from recon.simulation.sensors import refuse_other_options
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml
 from tests.verbs import simulate_file
@@ -295,6 +297,20 @@ def test_every_kind_hides_what_is_below_a_height(kind, clip, tmp_path):
         assert seen.positions[seen.visible][:, 2].min() > 0.85  # landmarks have an offset
     assert seen.truth_visible is not None
     assert not seen.truth_visible[:, [7, 8]].any()  # ankles
+
+
+def test_hiding_at_times_outside_the_motion_is_refused(walk):
+    """`during` counted from the first frame hid nothing in a clip that begins later."""
+    assert walk.start_time > 0.5
+    with pytest.raises(ValueError, match=rf"from {walk.start_time:.2f} to .* of its own clock"):
+        simulate(walk, "joints3d", hide_below=0.9, during=(0.0, 0.5))
+
+
+def test_an_unknown_kind_is_refused():
+    """`joints` instead of `joints3d` gave markers, without a word."""
+    refuse = inspect.unwrap(refuse_other_options)  # only tests check types
+    with pytest.raises(ValueError, match=r"among joints3d, .*; got \('joints',\)"):
+        refuse("joints", FilmSettings(), SurfaceSettings(), NOTHING)
 
 
 def test_a_missing_calibration_names_the_presets(clip, tmp_path):
