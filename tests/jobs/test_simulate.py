@@ -313,6 +313,22 @@ def test_an_unknown_kind_is_refused():
         refuse("joints", FilmSettings(), SurfaceSettings(), NOTHING)
 
 
+def test_poses_of_other_frames_are_refused(clip, walk, tmp_path):
+    """A part of a motion was filmed by a moving camera with the poses of its first frames."""
+    poses = torch.eye(4).repeat(walk.frames, 1, 1)
+    poses[:, 2, 3] = 4.0
+    np.savez(
+        tmp_path / "moving.npz",
+        camera_matrix=full_hd_camera().camera_matrix.numpy(),
+        image_size=np.array([1920, 1080]),
+        T_camera_world=poses.numpy(),
+    )
+    film = FilmSettings(camera=str(tmp_path / "moving.npz"))
+    assert cameras_around(walk, BodyModel.load(), film)
+    with pytest.raises(ValueError, match="6 poses, but the motion has 3 frames"):
+        cameras_around(walk.window(3, 6), BodyModel.load(), film)
+
+
 def test_a_missing_calibration_names_the_presets(clip, tmp_path):
     film = FilmSettings(camera="frnt")
     with pytest.raises(FileNotFoundError, match="front, side"):
