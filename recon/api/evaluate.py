@@ -104,11 +104,12 @@ def evaluate(
 ) -> Evaluation:
     """Compare a reconstruction with the true motion; return every metric, in SI units.
 
-    The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
-    taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
-    less their rest height above the sole; `sole_penetration_*` use the lowest point of either
-    foot's skin. `w_mpjpe`, `wa_mpjpe`, `rte`, `jitter` and `foot_sliding` are those of papers
-    on video (`recon.metrics.world`). The metrics are computed in double precision.
+    The truth is interpolated at the estimate's times; if it has fewer frames per second, its
+    accelerations and jitter are None. `slip_speed` and `slip_speed_truth` are both taken while the
+    *truth* is in contact. Heights for `penetration_*` are those of the toe joints less their rest
+    height above the sole; `sole_penetration_*` use the lowest point of either foot's skin.
+    `w_mpjpe`, `wa_mpjpe`, `rte`, `jitter` and `foot_sliding` are those of papers on video
+    (`recon.metrics.world`). The metrics are computed in double precision.
 
     Where the observation's camera did not know its pose and the simulation kept it
     (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
