@@ -146,6 +146,12 @@ def evaluate(
     if isinstance(truth, str | Path) and Path(truth).suffix.lower() == ".npy":
         truth = load_array(Path(truth))
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
+        of_motion = (observation, contacts, truth_contacts, observed)
+        if any(one is not None for one in of_motion):
+            raise ReconError(
+                "truth: joints alone are compared as they are, so that an observation, its points "
+                "and contacts would be ignored: leave them out, or give the true motion"
+            )
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
     theirs = _in_double_precision(motion_given(truth, model, "truth").file)
     seen, path = _read_observation(observation)
