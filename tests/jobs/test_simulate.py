@@ -19,7 +19,7 @@ from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile, load_observation
 from recon.formats.scans import read_scans
 from recon.simulation.images import cameras_around
-from recon.simulation.points import Corruption
+from recon.simulation.points import Corruption, joints3d
 from recon.simulation.sensors import refuse_other_options
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml
@@ -130,11 +130,11 @@ def test_things_are_hidden_during_their_time_alone(clip, walk, tmp_path):
     assert truth[:, [7, 8]].all(1).tolist() == [True, True, False, False, True, True]
 
 
-def test_any_two_opposite_corners_give_a_box(walk):
+def test_any_two_opposite_corners_give_a_box(walk, person):
     """A box whose first corner was not the lower one hid nothing, without a word."""
     low, high = (-9.0, -9.0, -1.0), (9.0, 9.0, 0.5)
     boxes = (low, high), (high, low), ((-9.0, 9.0, 0.5), (9.0, -9.0, -1.0))
-    seen = [simulate(walk, "joints3d", hide_box=box).files[""].visible for box in boxes]
+    seen = [joints3d(walk, person, Corruption(hide_box=box), 0).visible for box in boxes]
     assert not seen[0][:, [7, 8]].any()  # ankles
     assert (seen[1] == seen[0]).all()
     assert (seen[2] == seen[0]).all()
