@@ -104,11 +104,12 @@ def evaluate(
 ) -> Evaluation:
     """Compare a reconstruction with the true motion; return every metric, in SI units.
 
-    The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
-    taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
-    less their rest height above the sole; `sole_penetration_*` use the lowest point of either
-    foot's skin. `w_mpjpe`, `wa_mpjpe`, `rte`, `jitter` and `foot_sliding` are those of papers
-    on video (`recon.metrics.world`). The metrics are computed in double precision.
+    The truth is interpolated at the estimate's times; if it has fewer frames per second, its
+    accelerations and jitter are None. `slip_speed` and `slip_speed_truth` are both taken while the
+    *truth* is in contact. Heights for `penetration_*` are those of the toe joints less their rest
+    height above the sole; `sole_penetration_*` use the lowest point of either foot's skin.
+    `w_mpjpe`, `wa_mpjpe`, `rte`, `jitter` and `foot_sliding` are those of papers on video
+    (`recon.metrics.world`). The metrics are computed in double precision.
 
     Where the observation's camera did not know its pose and the simulation kept it
     (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
@@ -145,6 +146,12 @@ def evaluate(
     if isinstance(truth, str | Path) and Path(truth).suffix.lower() == ".npy":
         truth = load_array(Path(truth))
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
+        of_motion = (observation, contacts, truth_contacts, observed)
+        if any(one is not None for one in of_motion):
+            raise ReconError(
+                "truth: joints alone are compared as they are, so that an observation, its points "
+                "and contacts would be ignored: leave them out, or give the true motion"
+            )
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
     theirs = _in_double_precision(motion_given(truth, model, "truth").file)
     seen, path = _read_observation(observation)

@@ -133,6 +133,7 @@ def export_file(
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
     of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
     _refuse_without_output(of_trc, trc, "trc")
+    _refuse_without_output({"model": model != "rajagopal2016"}, mot or moments, "mot")
     _refuse_without_output({"names": names != "smpl"}, glb or usd or bvh, "glb")
     _refuse_without_output({"character": character is not None}, glb, "glb")
     _refuse_without_output({"bones": bones is not None}, character, "character")

@@ -320,7 +320,7 @@ def analyse(
         observed: false where a joint was inferred; None means that all were seen.
 
     Raises:
-        ReconError: when the body is another one.
+        ReconError: when the body is another one, or the clip a single frame.
     """
     feet = Feet.of(motion, body, ground, belt)
     stances = find_stances(feet)

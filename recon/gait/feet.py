@@ -66,8 +66,10 @@ class Feet:
             belt: velocity of a treadmill's belt in the room, m/s; None where the ground rests.
 
         Raises:
-            ReconError: when the body is another one.
+            ReconError: when the body is another one, or the clip a single frame.
         """
+        if motion.frames < 2:
+            raise ReconError("gait has speeds, and so two frames or more; the motion has one")
         if body.checksum != BodyModel.load().checksum:
             raise ReconError(
                 "gait analysis needs heels and toes, which are known only for the bundled body, "

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import MotionResult, Tables
@@ -17,6 +19,7 @@ from recon.diagnosis.movement import belt_velocity
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, read_report, versions
 from recon.gait.analysis import analyse
+from recon.gait.feet import MIN_SWING_M
 from recon.gait.laboratory import LaboratoryReport, outputs_of
 from recon.gait.plots import PointResiduals, matplotlib
 from recon.mocap.asf_amc import recording_files
@@ -99,6 +102,13 @@ def _laboratory_report(
         angle_std=file.angle_std,
         observed=file.observed,
     )
+    facing = np.deg2rad(gait.angles["pelvis_left_rotation"])
+    # strides on the spot have no direction
+    backward = sum(
+        cycle.length * np.cos(np.interp(cycle.strike, gait.times, facing) - cycle.heading)
+        < -MIN_SWING_M
+        for cycle in gait.cycles
+    )
     tall, heavy = body.height(motion.shape), body_weight(body, motion.shape)
     decisions = (*stored.get("decisions", ()), *stored.get("read", ()))
     return LaboratoryReport(
@@ -113,7 +123,15 @@ def _laboratory_report(
         },
         gait=gait,
         residuals=_residuals_of_report(stored),
-        warnings=tuple(_finding_messages(stored, "warnings")),
+        warnings=(
+            *_finding_messages(stored, "warnings"),
+            *[
+                f"{backward} of {len(gait.cycles)} strides go backwards: their events, shares of "
+                "the cycle and pelvic rotations are wrong, since steps are found as in walking "
+                "forwards"
+            ]
+            * bool(backward),
+        ),
         repairs=tuple(_finding_messages(stored, "repairs")),
         notes=tuple(_finding_messages(stored, "diagnosis")),
         decisions=tuple(str(one) for one in decisions),

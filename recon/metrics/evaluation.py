@@ -45,7 +45,8 @@ def evaluate(
 ) -> dict[str, float | None]:
     """Return all metrics of one clip in SI units, by name; None where one cannot be computed.
 
-    The truth is interpolated at the estimate's times. Contacts and visibility are given at the
+    The truth is interpolated at the estimate's times; if it has fewer frames per second, its
+    accelerations and jitter are None. Contacts and visibility are given at the
     estimate's frames (`nearest_labels` brings recorded ones there); contacts are labels or
     probabilities. `slip_speed` and `slip_speed_truth` are both taken while the *truth* is in
     contact. Heights for `penetration_*` are those of the toe joints less their rest height above
@@ -89,6 +90,12 @@ def evaluate(
         **_penetration_metrics("sole_penetration", sole_heights(predicted), sole_heights(actual)),
         "slip_speed": metrics.slip_speed(predicted.joints, touching, estimate.fps),
         "slip_speed_truth": metrics.slip_speed(actual.joints, touching, estimate.fps),
+        # interpolated linearly, a coarser truth has the accelerations of kinks
+        **dict.fromkeys(
+            ("accel_truth", "accel_error", "jitter_truth")
+            if truth.fps < 0.99 * estimate.fps
+            else ()
+        ),
     }
 
 

@@ -226,14 +226,11 @@ def _cameras_of_calibration(
             if len(found) > 1:
                 raise ReconError(f"{path}: camera {name} has no pose; give each camera a pose")
             camera = camera_ring(truth, body, camera, 1, first=mean_heading(truth))[0]
-        elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) < truth.frames:
+        elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) != truth.frames:
             raise ReconError(
                 f"{path}: camera {name} has {len(camera.T_camera_world)} poses, but the "
                 f"motion has {truth.frames} frames; give one pose, or one per frame"
             )
-        elif camera.T_camera_world.ndim == 3:
-            poses = camera.T_camera_world[: truth.frames]
-            camera = camera.replace(T_camera_world=poses)
         cameras[name] = camera
     return cameras
 

@@ -67,7 +67,7 @@ class Corruption:
         if self.hide_below is not None:
             seen &= (points[..., 2] >= self.hide_below) | ~active
         if self.hide_box is not None:
-            low, high = points.new_tensor(self.hide_box)
+            low, high = points.new_tensor(self.hide_box).sort(0).values
             seen &= ~(((points >= low) & (points <= high)).all(-1) & active)
         return seen
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from recon.simulation.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
     FilmSettings,
+    FurnitureName,
+    LeftOver,
     SensorKind,
     SurfaceSettings,
 )
@@ -64,6 +67,11 @@ def simulated_files(
         ReconError: when it is damaged, or options contradict each other.
     """
     refuse_other_options(kind, film, surface, corruption)
+    if corruption.during is not None and not bool(corruption.active(truth.times).any()):
+        raise ReconError(
+            f"during: expected seconds within the motion, which lasts from {truth.start_time:.2f} "
+            f"to {truth.stop_time:.2f} s of its own clock, got {corruption.during}"
+        )
     if kind in ("keypoints2d", "depth"):
         return _simulated_views(
             truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
@@ -84,7 +92,14 @@ def simulated_files(
 def refuse_other_options(
     kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
 ) -> None:
-    """Raise an error for options that do not apply to this kind of sensor."""
+    """Raise an error for words that are not known, and options that do not apply to this kind."""
+    for words, known in (
+        ((kind,), get_args(SensorKind)),
+        (surface.furniture, get_args(FurnitureName)),
+        (surface.left_over, get_args(LeftOver)),
+    ):
+        if not set(words) <= set(known):
+            raise ReconError(f"expected words among {', '.join(known)}; got {words!r}")
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
     no_furniture = {"furniture": (), "left_over": ()}

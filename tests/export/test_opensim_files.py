@@ -239,10 +239,15 @@ def test_sets_on_the_skin_and_angles_need_the_bundled_body(body, tmp_path, toy_b
         isb_angles(motion, toy_body)
 
 
-def test_options_of_a_file_that_is_not_asked_for_are_refused(clip, tmp_path, capsys):
-    line = ["export", str(clip), "--bvh", str(tmp_path / "m.bvh"), "--markers", "pig"]
+@pytest.mark.parametrize(
+    ("option", "word", "output"), [("--markers", "pig", "--trc"), ("--model", "gait2392", "--mot")]
+)
+def test_options_of_a_file_that_is_not_asked_for_are_refused(
+    option, word, output, clip, tmp_path, capsys
+):
+    line = ["export", str(clip), "--bvh", str(tmp_path / "m.bvh"), option, word]
     assert cli.run(line) == cli.BAD_INPUT
-    assert "--markers is an option of --trc" in capsys.readouterr().err
+    assert f"{option} is an option of {output}" in capsys.readouterr().err
     assert not (tmp_path / "m.bvh").exists()
     assert set(landmarks()) >= {"left_rib", "right_thumb", "left_heel_below"}
 

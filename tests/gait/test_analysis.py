@@ -118,6 +118,12 @@ def test_legs_that_swing_in_the_air_take_no_steps(walk, body):
     assert len(analyse(walk, body, ground=None).stances) >= 4
 
 
+def test_a_single_frame_is_refused(walk, body):
+    """NumPy's words about gradients stood in the error."""
+    with pytest.raises(recon.ReconError, match="two frames or more"):
+        analyse(walk.window(0, 1), body)
+
+
 def test_joints_that_nobody_saw_are_told(walk, body):
     observed = torch.ones(walk.frames, len(JOINTS), dtype=torch.bool)
     observed[:, joint_index("left_ankle")] = False

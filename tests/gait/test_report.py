@@ -92,6 +92,17 @@ def test_a_motion_without_steps_has_angles_along_time():
     assert "time (s)" in shown.page()
 
 
+def test_strides_backwards_are_a_warning(found):
+    """A stance of 90 % of the cycle was reported of a walk that was played backwards."""
+    walk = load_motion_of(DEMO, recon.BodyModel.load()).motion
+    played = {"translation": walk.translation.flip(0), "rotations": walk.rotations.flip(0)}
+    backward = recon.report(walk.replace(**played))
+    count = len(backward.gait.cycles)
+    assert count > 0
+    assert backward.warnings[0].startswith(f"{count} of {count} strides go backwards")
+    assert found.warnings == ()
+
+
 def test_what_a_conversion_said_stands_on_the_page(tmp_path):
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()

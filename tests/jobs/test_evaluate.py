@@ -55,6 +55,14 @@ def found(clip, tmp_path) -> tuple[Path, Path, torch.Tensor]:
     return result, seen, camera
 
 
+def test_an_observation_beside_true_joints_is_refused(clip, found):
+    """It was ignored without a word, even where there was no such file."""
+    joints = BodyModel.load().pose(load_motion(clip).motion).joints
+    with pytest.raises(ValueError, match=r"joints alone .* give the true motion"):
+        evaluate(clip, joints, observation=found[1])
+    assert evaluate(clip, joints)["joints_all"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_true_motion_on_a_wrong_ground(clip, found, tmp_path):
     result, seen, camera = found
     metrics = evaluate(result, clip, observation=seen)

@@ -1,5 +1,6 @@
 """`recon simulate` for cameras: which cameras there are, what they keep, and what is refused."""
 
+import inspect
 import math
 from dataclasses import replace
 from importlib import resources
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from recon.api.simulate import simulate
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
@@ -17,7 +19,8 @@ from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile, load_observation
 from recon.formats.scans import read_scans
 from recon.simulation.images import cameras_around
-from recon.simulation.points import Corruption
+from recon.simulation.points import Corruption, joints3d
+from recon.simulation.sensors import refuse_other_options
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml
 from tests.verbs import simulate_file
@@ -125,6 +128,16 @@ def test_things_are_hidden_during_their_time_alone(clip, walk, tmp_path):
     truth = keypoints(path).truth_visible
     assert truth is not None
     assert truth[:, [7, 8]].all(1).tolist() == [True, True, False, False, True, True]
+
+
+def test_any_two_opposite_corners_give_a_box(walk, person):
+    """A box whose first corner was not the lower one hid nothing, without a word."""
+    low, high = (-9.0, -9.0, -1.0), (9.0, 9.0, 0.5)
+    boxes = (low, high), (high, low), ((-9.0, 9.0, 0.5), (9.0, -9.0, -1.0))
+    seen = [joints3d(walk, person, Corruption(hide_box=box), 0).visible for box in boxes]
+    assert not seen[0][:, [7, 8]].any()  # ankles
+    assert (seen[1] == seen[0]).all()
+    assert (seen[2] == seen[0]).all()
 
 
 def test_a_moving_camera_has_a_pose_per_frame(clip, tmp_path):
@@ -284,6 +297,36 @@ def test_every_kind_hides_what_is_below_a_height(kind, clip, tmp_path):
         assert seen.positions[seen.visible][:, 2].min() > 0.85  # landmarks have an offset
     assert seen.truth_visible is not None
     assert not seen.truth_visible[:, [7, 8]].any()  # ankles
+
+
+def test_hiding_at_times_outside_the_motion_is_refused(walk):
+    """`during` counted from the first frame hid nothing in a clip that begins later."""
+    assert walk.start_time > 0.5
+    with pytest.raises(ValueError, match=rf"from {walk.start_time:.2f} to .* of its own clock"):
+        simulate(walk, "joints3d", hide_below=0.9, during=(0.0, 0.5))
+
+
+def test_an_unknown_kind_is_refused():
+    """`joints` instead of `joints3d` gave markers, without a word."""
+    refuse = inspect.unwrap(refuse_other_options)  # only tests check types
+    with pytest.raises(ValueError, match=r"among joints3d, .*; got \('joints',\)"):
+        refuse("joints", FilmSettings(), SurfaceSettings(), NOTHING)
+
+
+def test_poses_of_other_frames_are_refused(clip, walk, tmp_path):
+    """A part of a motion was filmed by a moving camera with the poses of its first frames."""
+    poses = torch.eye(4).repeat(walk.frames, 1, 1)
+    poses[:, 2, 3] = 4.0
+    np.savez(
+        tmp_path / "moving.npz",
+        camera_matrix=full_hd_camera().camera_matrix.numpy(),
+        image_size=np.array([1920, 1080]),
+        T_camera_world=poses.numpy(),
+    )
+    film = FilmSettings(camera=str(tmp_path / "moving.npz"))
+    assert cameras_around(walk, BodyModel.load(), film)
+    with pytest.raises(ValueError, match="6 poses, but the motion has 3 frames"):
+        cameras_around(walk.window(3, 6), BodyModel.load(), film)
 
 
 def test_a_missing_calibration_names_the_presets(clip, tmp_path):

@@ -130,6 +130,16 @@ def test_truth_is_read_at_the_estimates_times(body: BodyModel, truth: Motion) ->
     assert between["joints_all"] < 1e-4  # metres: interpolated within 8 ms
 
 
+def test_a_truth_of_fewer_frames_has_no_accelerations(body: BodyModel, truth: Motion) -> None:
+    """A perfect estimate had an error of its acceleration as large as the acceleration itself."""
+    coarse = standing(body, 21, 30.0, start_time=2.0)
+    table = evaluate(truth, coarse, body)
+    assert table["joints_all"] == pytest.approx(0.0, abs=1e-4)
+    assert table["accel_error"] is table["accel_truth"] is table["jitter_truth"] is None
+    assert table["accel"] is not None
+    assert table["accel"] > 0
+
+
 def test_times_outside_the_truth_are_refused(body: BodyModel, truth: Motion) -> None:
     for start in (1.9, 2.45):
         with pytest.raises(ValueError, match="the truth does not cover the estimate"):
