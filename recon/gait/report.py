@@ -109,6 +109,10 @@ def _laboratory_report(
         < -MIN_SWING_M
         for cycle in gait.cycles
     )
+    wrong = (
+        f"{backward} of {len(gait.cycles)} strides go backwards: their events, shares of the "
+        "cycle and pelvic rotations are wrong, since steps are found as in walking forwards"
+    )
     tall, heavy = body.height(motion.shape), body_weight(body, motion.shape)
     decisions = (*stored.get("decisions", ()), *stored.get("read", ()))
     return LaboratoryReport(
@@ -123,15 +127,7 @@ def _laboratory_report(
         },
         gait=gait,
         residuals=_residuals_of_report(stored),
-        warnings=(
-            *_finding_messages(stored, "warnings"),
-            *[
-                f"{backward} of {len(gait.cycles)} strides go backwards: their events, shares of "
-                "the cycle and pelvic rotations are wrong, since steps are found as in walking "
-                "forwards"
-            ]
-            * bool(backward),
-        ),
+        warnings=(*_finding_messages(stored, "warnings"), *([] if backward == 0 else [wrong])),
         repairs=tuple(_finding_messages(stored, "repairs")),
         notes=tuple(_finding_messages(stored, "diagnosis")),
         decisions=tuple(str(one) for one in decisions),
