@@ -29,6 +29,9 @@ _REPETITION_GAIN = 3.0
 motion follows lasting errors; chosen on simulated errors of BlazePose's size and duration,
 validation people."""
 _OUTLIER_STDS = 3.0
+_UNFOLLOWED = 2.0
+"""Ratio of a frame's mean squared residual to the median frame's above which the motion does not
+follow its data, as in a cartwheel: 3 to 4 standard deviations for 17 to 33 keypoints."""
 
 
 def correlated_frames(
@@ -44,7 +47,8 @@ def correlated_frames(
     computed for the residuals, exceeds 1 by a third of what that of the errors does, since a
     motion follows a part of the errors; the result, from 1 to 16, is corrected for this.
     `estimate_noise` does not see lasting errors, because bodies move as slowly: detectors of
-    keypoints err by 1 to 2 cm for a sixth of a second. Constant errors of a point are left out.
+    keypoints err by 1 to 2 cm for a sixth of a second. Constant errors of a point are left out,
+    and so are frames that the motion does not follow: there, the model errs and no detector.
 
     Args:
         errors: residuals of every coordinate, measured minus fitted.
@@ -52,6 +56,7 @@ def correlated_frames(
         noise: σ, the standard deviation of white noise.
         rate: number of frames that the energy counts per frame of data, as 0.5 for data at 60 Hz.
     """
+    visible = visible & _followed_frames(errors, visible)
     shown = visible[..., None].to(errors)
     count = shown.sum(-3, keepdim=True).clamp(min=1)
     away = (errors - (errors * shown).sum(-3, keepdim=True) / count) * shown
@@ -72,6 +77,16 @@ def correlated_frames(
         repeated += 2 * correlation
     excess = variance / noise**2 * repeated * rate - 1
     return min(1 + _REPETITION_GAIN * max(excess, 0.0), _MAX_REPETITION)
+
+
+def _followed_frames(
+    errors: Float[Tensor, "*batch time points dims"], visible: Bool[Tensor, "*batch time points"]
+) -> Bool[Tensor, "*batch time 1"]:
+    """Return whether the motion follows a frame's data about as well as those of most frames."""
+    seen = errors.where(visible[..., None], torch.nan)
+    away = seen - seen.nanmedian(-3, keepdim=True).values
+    squared = away.square().nanmean((-1, -2))
+    return (squared <= _UNFOLLOWED * squared.nanmedian(-1, keepdim=True).values)[..., None]
 
 
 def correlated_view_frames(view: Keypoints2D, estimate: Estimate, noise: float) -> float:

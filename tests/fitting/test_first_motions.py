@@ -30,6 +30,13 @@ def test_frames_whose_errors_last_count_as_fewer(correlation):
     assert half == pytest.approx(max(1.0, 1 + 3 * (excess - 1) / 2), rel=0.25)
 
 
+def test_frames_that_a_motion_does_not_follow_do_not_count():
+    """A first motion that is far from a cartwheel for half a second left the view a 16th."""
+    errors, visible = lasting_errors(0.0), torch.ones(200, 30, dtype=torch.bool)
+    errors[80:100] += 20 * lasting_errors(0.9, 20)
+    assert correlated_frames(errors, visible, 1.0) == pytest.approx(1.0, abs=0.25)
+
+
 def test_errors_below_the_noise_and_without_frames_change_nothing():
     visible = torch.ones(200, 30, dtype=torch.bool)
     assert correlated_frames(0.1 * lasting_errors(0.6), visible, 1.0) == 1.0
