@@ -18,7 +18,7 @@ from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.movement import belt_velocity
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, read_report, versions
-from recon.gait.analysis import analyse
+from recon.gait.analysis import Gait, analyse
 from recon.gait.feet import MIN_SWING_M
 from recon.gait.laboratory import LaboratoryReport, outputs_of
 from recon.gait.plots import PointResiduals, matplotlib
@@ -102,17 +102,6 @@ def _laboratory_report(
         angle_std=file.angle_std,
         observed=file.observed,
     )
-    facing = np.deg2rad(gait.angles["pelvis_left_rotation"])
-    # strides on the spot have no direction
-    backward = sum(
-        cycle.length * np.cos(np.interp(cycle.strike, gait.times, facing) - cycle.heading)
-        < -MIN_SWING_M
-        for cycle in gait.cycles
-    )
-    wrong = (
-        f"{backward} of {len(gait.cycles)} strides go backwards: their events, shares of the "
-        "cycle and pelvic rotations are wrong, since steps are found as in walking forwards"
-    )
     tall, heavy = body.height(motion.shape), body_weight(body, motion.shape)
     decisions = (*stored.get("decisions", ()), *stored.get("read", ()))
     return LaboratoryReport(
@@ -127,11 +116,28 @@ def _laboratory_report(
         },
         gait=gait,
         residuals=_residuals_of_report(stored),
-        warnings=(*_finding_messages(stored, "warnings"), *([] if backward == 0 else [wrong])),
+        warnings=(*_finding_messages(stored, "warnings"), *_warnings_of_backward_strides(gait)),
         repairs=tuple(_finding_messages(stored, "repairs")),
         notes=tuple(_finding_messages(stored, "diagnosis")),
         decisions=tuple(str(one) for one in decisions),
     )
+
+
+def _warnings_of_backward_strides(gait: Gait) -> list[str]:
+    """Return a warning where strides lead against the direction in which the pelvis faces."""
+    facing = np.deg2rad(gait.angles["pelvis_left_rotation"])
+    # strides on the spot have no direction
+    backward = sum(
+        cycle.length * np.cos(np.interp(cycle.strike, gait.times, facing) - cycle.heading)
+        < -MIN_SWING_M
+        for cycle in gait.cycles
+    )
+    if backward == 0:
+        return []
+    return [
+        f"{backward} of {len(gait.cycles)} strides go backwards: their events, shares of the "
+        "cycle and pelvic rotations are wrong, since steps are found as in walking forwards"
+    ]
 
 
 def _finding_messages(stored: Mapping[str, Any], kind: str) -> Sequence[str]:
