@@ -93,13 +93,13 @@ def refuse_other_options(
     kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
 ) -> None:
     """Raise an error for words that are not known, and options that do not apply to this kind."""
-    for words, known in (
-        ((kind,), get_args(SensorKind)),
-        (surface.furniture, get_args(FurnitureName)),
-        (surface.left_over, get_args(LeftOver)),
+    for name, words, known in (
+        ("kind", (kind,), get_args(SensorKind)),
+        ("furniture", surface.furniture, get_args(FurnitureName)),
+        ("left_over", surface.left_over, get_args(LeftOver)),
     ):
         if not set(words) <= set(known):
-            raise ReconError(f"expected words among {', '.join(known)}; got {words!r}")
+            raise ReconError(f"{name}: expected words among {', '.join(known)}; got {words!r}")
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
     no_furniture = {"furniture": (), "left_over": ()}
