@@ -48,7 +48,7 @@ def correlated_frames(
     motion follows a part of the errors; the result, from 1 to 16, is corrected for this.
     `estimate_noise` does not see lasting errors, because bodies move as slowly: detectors of
     keypoints err by 1 to 2 cm for a sixth of a second. Constant errors of a point are left out,
-    and so are frames that the motion does not follow: there, the model errs and no detector.
+    and so are frames that the motion does not follow: there, the model errs, not the detector.
 
     Args:
         errors: residuals of every coordinate, measured minus fitted.
