@@ -22,8 +22,9 @@ _MAX_FACTOR = 1.5
 """Factor by which first sizes may be wrong; beyond it, camera and ground contradict."""
 _MIN_CORRELATION = 0.1
 """Correlation in time below which it, and those at longer lags, are taken as zero."""
-_MAX_REPETITION = 16.0
-"""Largest repetition; longer errors are the model's, such as a wrong lens, not a detector's."""
+_MAX_REPETITION = 4.0
+"""Largest repetition: that of real detectors is at most 3, of simulated ones 3.6; what lasts
+longer is an error of the model's, such as a cartwheel's first motion, not a detector's."""
 _REPETITION_GAIN = 3.0
 """Ratio of the excess of the errors' repetition over 1 to that of the residuals', as a fitted
 motion follows lasting errors; chosen on simulated errors of BlazePose's size and duration,
@@ -45,7 +46,7 @@ def correlated_frames(
     The mean of N frames of errors with standard deviation s and correlations ρ_k at lags of k
     frames has the variance s² (1 + 2 Σ ρ_k) / N, that of white noise σ² / N. Their quotient,
     computed for the residuals, exceeds 1 by a third of what that of the errors does, since a
-    motion follows a part of the errors; the result, from 1 to 16, is corrected for this.
+    motion follows a part of the errors; the result, from 1 to 4, is corrected for this.
     `estimate_noise` does not see lasting errors, because bodies move as slowly: detectors of
     keypoints err by 1 to 2 cm for a sixth of a second. Constant errors of a point are left out,
     and so are frames that the motion does not follow: there, the model errs, not the detector.
