@@ -29,6 +29,8 @@ standard deviation of the markers; and its multiple below which unusual poses ar
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Standard deviation (m) below which marker offsets count as known; rounds and number of frames of
 their calibration; and key frames on both sides of the first that the first calibration uses."""
+_CLOSELY = 2
+"""Number of frames, those fitted best so far, in which unusual poses are tried."""
 _COMPARED, _TURNED = 4, 3
 """Frames in which turns of limbs are compared, and how often the body is followed at most."""
 _NOWHERE = 0.35
@@ -37,10 +39,12 @@ _LEAST, _ODDS = -4.0, 2.0
 """Lower limit of one frame's log odds for a name, and log odds that a track needs to be named."""
 _FEWEST = 4
 """Least number of named markers to which a pose is fitted in a frame."""
+_RENAMED = 0.25
+"""Share of a frame's points with new names above which its pose is fitted once more."""
 _WEIGHT = 8.0
 """Number of frames beyond which a longer track does not count more."""
 _FIT = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
-_FOLLOW = LevenbergMarquardt(max_iterations=3, tolerance=3e-2, damping=1e-3)
+_FOLLOW = LevenbergMarquardt(max_iterations=2, tolerance=3e-2, damping=1e-3)
 """How a pose is fitted to named markers, and from its neighbour's pose while names are found."""
 
 
@@ -105,16 +109,15 @@ class Naming:
         starts = [fullest.pop(0), *fullest[len(fullest) // 2 :][:1]]
         others = [k for k in fullest if k not in starts]
         found: list[tuple[FoundBody, int]] = []
-        for some, effort, least in (
-            (starts, 1, 1.0), (others, 1, _TOLERABLE), ([*starts, *others], 3, np.inf)
-        ):  # fmt: skip
+        for some, effort, least in ((starts, 1, 1.0), (others, 1, _TOLERABLE), (None, 3, np.inf)):
+            some = [at for _, at in found[:_CLOSELY]] if some is None else some
             if some:
                 clouds = [self._points_and_tracks(k)[0] for k in some]
                 found += zip(found_bodies(clouds, self.bodies, effort), some, strict=True)
-            best = min(found, key=lambda one: self._misfit(*one))
-            if self._misfit(*best) < least:
+                found.sort(key=lambda one: self._misfit(*one))
+            if self._misfit(*found[0]) < least:
                 break
-        return best
+        return found[0]
 
     def _misfit(self, found: FoundBody, at: int) -> float:
         """Return a found body's rank divided by the rank below which it is accepted at once.
@@ -168,7 +171,7 @@ class Naming:
                 self._markers_of_points(self._mean_log_odds(own) + new)
                 for own, new in zip(tracks, said, strict=True)
             ]
-            if any((one != other).any() for one, other in zip(held, known, strict=True)):
+            if any((a != b).mean() > _RENAMED for a, b in zip(held, known, strict=True)):
                 pose = _fit_poses(body, pose, points, held)
                 said = _log_odds_of_points(body, pose, points)
             for row, k in enumerate(some):
