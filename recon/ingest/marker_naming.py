@@ -21,26 +21,24 @@ from recon.ingest.marker_start import FoundBody, found_bodies, with_limb_turned
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.mocap.recording import MarkerRecording
 
-_RATE, _BEGINNINGS = 10.0, 6
-"""Key frames per second in which the body is posed, and frames in which it is first searched."""
+_RATE, _BEGINNINGS, _CLOSELY = 10.0, 6, 2
+"""Key frames per second in which the body is posed; number of frames in which it is searched at
+first; and of those among them, fitted best, in which unusual poses are tried."""
 _GOOD, _GOOD_PER_METRE, _TOLERABLE = 0.12, 2.4, 1.2
 """Rank (see `FoundBody.rank`) below which a body is accepted at once; its increase per metre of
 standard deviation of the markers; and its multiple below which unusual poses are not tried."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Standard deviation (m) below which marker offsets count as known; rounds and number of frames of
 their calibration; and key frames on both sides of the first that the first calibration uses."""
-_CLOSELY = 2
-"""Number of frames, those fitted best so far, in which unusual poses are tried."""
 _COMPARED, _TURNED = 4, 3
 """Frames in which turns of limbs are compared, and how often the body is followed at most."""
 _NOWHERE = 0.35
 """Cost (see `FoundBody.cost`) above which no body is found, and nothing is named."""
 _LEAST, _ODDS = -4.0, 2.0
 """Lower limit of one frame's log odds for a name, and log odds that a track needs to be named."""
-_FEWEST = 4
-"""Least number of named markers to which a pose is fitted in a frame."""
-_RENAMED = 0.25
-"""Share of a frame's points with new names above which its pose is fitted once more."""
+_FEWEST, _RENAMED = 4, 0.25
+"""Least number of named markers to which a pose is fitted in a frame, and the share of its points
+with new names above which it is fitted once more."""
 _WEIGHT = 8.0
 """Number of frames beyond which a longer track does not count more."""
 _FIT = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
