@@ -36,13 +36,13 @@ _NOWHERE = 0.35
 """Cost (see `FoundBody.cost`) above which no body is found, and nothing is named."""
 _LEAST, _ODDS = -4.0, 2.0
 """Lower limit of one frame's log odds for a name, and log odds that a track needs to be named."""
-_FEWEST, _RENAMED = 4, 0.25
+_FEWEST, _RENAMED = 4, 0.1
 """Least number of named markers to which a pose is fitted in a frame, and the share of its points
 with new names above which it is fitted once more."""
 _WEIGHT = 8.0
 """Number of frames beyond which a longer track does not count more."""
 _FIT = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
-_FOLLOW = LevenbergMarquardt(max_iterations=2, tolerance=3e-2, damping=1e-3)
+_FOLLOW = LevenbergMarquardt(max_iterations=3, tolerance=3e-2, damping=1e-3)
 """How a pose is fitted to named markers, and from its neighbour's pose while names are found."""
 
 
