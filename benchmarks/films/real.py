@@ -5,8 +5,8 @@ drawn into the films half as large as a person, moves before him. The reference 
 person is `recon.fit` of OpenPose's detections in the other calibrated views, that of a film of two
 in all three. Besides every fit of a film there is one of OpenPose's detections of the same view.
 Errors are over 22 joints in the camera's frame, about the pelvis and after a similarity, with one
-clock offset per fit, since films and detections begin up to 2.5 frames apart. Reprojection errors
-are medians, in pixels of the detections that were fitted.
+clock offset per fit, as films and detections begin up to 2.5 frames apart. Reprojection errors are
+medians, in pixels of what was fitted. Feet stand where those of the fit of all three views do.
 """
 
 import argparse
@@ -195,7 +195,9 @@ def measured(
                 options = scene.given(known, camera, whole.tall)
                 found, seconds = fitted(paths[ONE, camera], scene, camera, options)
                 row = compared(found, others, scene, camera) | {"seconds": seconds}
-                row |= {"error_all": compared(found, whole, scene, camera)["error"]}
+                beside = compared(found, whole, scene, camera)
+                row |= {key: beside[key] for key in beside if key.startswith("slip")}
+                row["error_all"] = beside["error"]
                 yield f"{known}: {camera}: {detector}", row
     for detector, paths in detectors.items() if "three" in cases else ():
         films = [paths[ONE, camera] for camera in CAMERAS]
