@@ -273,7 +273,6 @@ def observed_joints(
         # the observation's nearest frame in time, for every frame of the motion, which at the
         # 30 Hz of HuMoR's networks may outlast the data by up to one frame
         number = np.rint((times - observation.start_time) * observation.fps).astype(int)
-        last = len(moments) - 1
-        within = (number >= 0) & (number < last + max(1.0, observation.fps / motion.fps))
-        seen[within] |= moments[number[within].clip(max=last)]
+        within = (number >= 0) & (number < len(moments) + max(0, observation.fps / motion.fps - 1))
+        seen[within] |= moments[number[within].clip(max=len(moments) - 1)]
     return seen
