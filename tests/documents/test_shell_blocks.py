@@ -36,7 +36,7 @@ def test_shell_blocks_are_commands(block: Block) -> None:
                 assert _is_there(rest), f"{block}: {words}"
             case "blender":
                 assert _is_there([rest[rest.index("--python") + 1]]), f"{block}: {words}"
-            case "recon" | "mkdir":
+            case "recon" | "mkdir" | "source":
                 pass
             case _:
                 assert words[:2] == ["pip", "install"], f"{block}: unknown program {program}"
