@@ -37,8 +37,7 @@ def written(path: Path) -> Path:
     file["parameters"]["POINT"]["RATE"]["value"] = [truth.fps]
     file["parameters"]["POINT"]["LABELS"]["value"] = list(LABELS)
     file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    homogeneous = np.concatenate((places, np.ones_like(places[..., :1])), -1)
-    file["data"]["points"] = homogeneous.transpose(2, 1, 0)
+    file["data"]["points"] = np.insert(places, 3, 1.0, axis=-1).transpose(2, 1, 0)  # homogeneous
     file.write(str(path))
     return path
 

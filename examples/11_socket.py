@@ -23,10 +23,14 @@ def serve(server: socket.socket, template: recon.Joints3D) -> None:
     """Answer one connection: every estimate is sent as soon as it is final."""
     connection, _ = server.accept()
     stream = recon.Stream(lag=5, template=template)
-    with connection, connection.makefile("rw", encoding="utf-8") as lines:
-        for line in stream_lines(lines, stream, complain=print):
-            lines.write(line + "\n")
-            lines.flush()
+    with (
+        connection,
+        connection.makefile("r", encoding="utf-8") as moments,
+        connection.makefile("w", encoding="utf-8") as estimates,
+    ):
+        for line in stream_lines(moments, stream, complain=print):
+            estimates.write(line + "\n")
+            estimates.flush()
 
 
 def main() -> None:

@@ -93,11 +93,12 @@ class PointCloud(Sensor):
         labels: PointLabels | None = None,
         std: Numbers | None = None,
     ) -> None:
-        """Converts numpy arrays to float32 tensors and sets points that are not present to zero.
+        """Takes points (moments, points, 3) and `std` (moments), in metres; `fps` is in Hz.
 
-        A camera without leading axes stands still. Without `present`, the points are one cloud
-        per moment, of any sizes: arrays (N, 3), or clouds and meshes of Open3D. Without
-        `surfels`, the surface is that of the bundled body. The rate `fps` must be given.
+        `present` is (moments, points). Arrays of numpy become float32 tensors. A camera without
+        leading axes stands still. Without `present`, the points are one cloud per moment,
+        of any sizes: arrays (N, 3), or clouds and meshes of Open3D. Without `surfels`, the surface
+        is that of the bundled body. The rate `fps` must be given.
 
         Raises:
             ValueError: naming the array, what was expected and what came.

@@ -38,9 +38,11 @@ class Joints3D(TrackedPoints):
         offset_rows: tuple[int, int] | None = None,
         std: Numbers | float | None = None,
     ) -> None:
-        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
+        """Takes positions (moments, joints, 3), z up, and `std`, both in metres.
 
-        `std` may have any shape that broadcasts to (moments, points).
+        `visible` is (moments, joints); `joints` are numbers in `recon.core.skeleton.JOINTS`; `fps`
+        is in Hz. Positions that are not visible become zero. `std` may have any shape that
+        broadcasts to (moments, joints). Arrays of numpy become float32 tensors.
 
         Raises:
             ValueError: naming the array, what was expected and what came.

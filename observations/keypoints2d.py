@@ -103,9 +103,10 @@ class Keypoints2D(PointsOfBody):
         lens: tuple[float, ...] = (),
         fingers: Numbers | None = None,
     ) -> None:
-        """Converts numpy arrays to float32 tensors and sets points that are not seen to zero.
+        """Takes pixels (moments, keypoints, 2) without lens distortion, and their confidence.
 
-        A camera without leading axes stands still.
+        `confidence` is (moments, keypoints), 0 where not seen; `fps` is in Hz. Arrays of numpy
+        become float32 tensors. A camera without leading axes stands still.
 
         Raises:
             ValueError: naming the array, what was expected and what came.

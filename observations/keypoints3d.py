@@ -58,7 +58,10 @@ class Keypoints3D(TrackedPoints):
         placed: bool = True,
         fingers: Numbers | None = None,
     ) -> None:
-        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
+        """Takes positions (moments, keypoints, 3) and `std`, both in metres.
+
+        `visible` is (moments, keypoints); `fps` is in Hz. Positions that are not visible become
+        zero. Arrays of numpy become float32 tensors.
 
         `points` may be the name of a layout (`recon.core.layouts.LAYOUTS`) or the names of the
         keypoints in their order, which are then points of the bundled body. `std` may have any

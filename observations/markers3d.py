@@ -55,10 +55,11 @@ class Markers3D(TrackedPoints):
         offsets: Numbers | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
+        """Takes positions (moments, markers, 3), `std` and `offsets` (markers, 3), all in metres.
 
-        `std` may have any shape that broadcasts to (moments, points); `offsets` have the shape
-        (points, 3).
+        `visible` is (moments, markers); `vertices` are numbers of the body's vertices; `fps` is in
+        Hz. Positions that are not visible become zero. `std` may have any shape that broadcasts
+        to (moments, markers). Arrays of numpy become float32 tensors.
 
         Raises:
             ValueError: naming the array, what was expected and what came.

@@ -24,7 +24,7 @@ def checked_for_stream(given: Any) -> Tracker:
     """
     if not isinstance(given, TrackedPoints | Keypoints2D):
         raise ObservationError(
-            "a stream follows recon.Joints3D, Markers3D and Keypoints2D, got "
+            "a stream takes recon.Joints3D, Markers3D, Keypoints3D and Keypoints2D, got "
             f"{type(given).__name__}; fit other sensors with recon.fit"
         )
     if given.clips not in ((), (1,)):

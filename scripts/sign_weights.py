@@ -39,8 +39,9 @@ def sign(path: Path) -> str:
     tensors = {name: tensor.clone() for name, tensor in old.tensors.items()}
     save_checkpoint(path, about["kind"], tensors, old.settings)
     new = load_checkpoint(path, about["kind"])
-    same = all(torch.equal(tensors[name], new.tensors[name]) for name in tensors)
-    if not same or new.tensors.keys() != tensors.keys() or new.settings != old.settings:
+    if (new.tensors.keys(), new.settings) != (tensors.keys(), old.settings) or not all(
+        torch.equal(tensors[name], new.tensors[name]) for name in tensors
+    ):
         raise ValueError(f"{path}: the file written differs from the one read")
     return "checksum added"
 

@@ -77,15 +77,15 @@ def fit(
     rate and a camera (which one view of a phone does not need), 2D detections of OpenPose, MMPose,
     AlphaPose, MediaPipe, DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder
     of views); a folder of scans (.ply, .pcd, .obj); a folder of 16-bit depth images (.png, with a
-    camera). A file of SMPL parameters that a network told from video (.pt, .pkl, .npz) is refined,
-    as `recon.refine` does.
+    camera). A file of SMPL parameters that a network estimated from video (.pt, .pkl, .npz) is
+    refined, as `recon.refine` does.
 
     Args:
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
-            `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
-            one, and what `recon.simulate` returned; or, with `frame_rate`, a list of Open3D's
-            point clouds, triangle meshes or pairs (RGBDImage, PinholeCameraIntrinsic), one per
-            frame, metres.
+            `Markers3D`, `Keypoints3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with
+            one of length one, and what `recon.simulate` returned; or, with `frame_rate`, a list of
+            Open3D's point clouds, triangle meshes or pairs (RGBDImage, PinholeCameraIntrinsic),
+            one per frame, metres.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
         weights: of a prior given by its name: `open` or a file.
@@ -106,8 +106,8 @@ def fit(
             z = 0; `unknown`, to be found; or the plane (nx, ny, nz, d), n·x = d, in the frame of
             the observations, metres. Where it was not known, results are in a world on the ground;
             3D points with z up keep their frame, and `Result.ground` says how high it is. None
-            where there is no ground that feet stand on (water, ropes, stairs): nothing is judged
-            by heights, so the prior must not (`pose` does not), and no contacts are told.
+            where feet stand on no level ground (water, ropes, stairs): the fit then ignores
+            heights, needs a prior that does (`pose`), and finds no contacts.
         between: times from which and up to which to fit, seconds of the observations' clock.
         fps: rate of the result; None is that of the first observation.
         start: a motion, a result or the path of a motion file to begin with, in the frame of the
@@ -199,11 +199,10 @@ def complete(
     joints; several of one clip add up. A motion of 30 Hz or more is fitted to all of them, with
     one shape; under HuMoR unless another prior is given.
 
-    With the prior `anchor` it is one whole cycle of gait (0.3 to 3 s, cut out with `between`) as
-    one code, of which many are tried, so that there is no `start`. What is no cycle of gait is
-    then completed all the same, with a warning; keypoints in images are not taken.
-    `Result.cycle` has its duration in seconds, and how far its code is from those of recorded
-    cycles.
+    The prior `anchor` fits one whole cycle of gait (0.3 to 3 s, cut out with `between`) as one
+    code, from many first guesses, so it takes no `start`. Other motions are completed likewise,
+    with a warning; keypoints in images are refused. `Result.cycle` has the cycle's duration in
+    seconds, and how far its code is from those of recorded cycles.
 
     Args:
         observations: as of `recon.fit`: observations, files and folders of one clip.
@@ -212,8 +211,8 @@ def complete(
         how: all others of `recon.fit`.
 
     Raises:
-        ReconError: when nothing tells where the body is, at most one moment shows anything, or,
-            for one cycle, what was seen does not last as long as one.
+        ReconError: when the data do not show where the body is, at most one moment shows
+            anything, or, for one cycle, the data are shorter than a cycle.
         FileNotFoundError: when there is no such file, body or weights.
     """
     if not prior_trait(prior, "completes"):

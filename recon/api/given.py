@@ -157,7 +157,7 @@ class Shape:
         """The prior density of the shape coefficients of a body.
 
         Raises:
-            ReconError: when nothing is given, a number is none that it can be, or no body has it.
+            ReconError: when nothing is given, a number is impossible, or no body has this shape.
         """
         if self.height is None and self.like is None:
             raise ReconError(

@@ -146,8 +146,8 @@ def _no_observation_error(given: object) -> ObservationError:
             "the geometries an observation first, recon.read(geometries, frame_rate=...)"
         )
     return ObservationError(
-        "expected observations (recon.Joints3D, Markers3D, Keypoints2D, PointCloud or a sensor of "
-        "your own that derives from recon.method.Sensor; "
+        "expected observations (recon.Joints3D, Markers3D, Keypoints3D, Keypoints2D, PointCloud "
+        "or a sensor of your own that derives from recon.method.Sensor; "
         f"recon.load_observation reads files), got {type(given).__name__}"
     )
 

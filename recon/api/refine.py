@@ -39,12 +39,12 @@ def refine(
 ) -> Result:
     """Refine a motion that a network estimated from video.
 
-    Feet that stand, no jitter, impacts kept.
+    In the result feet stand still and nothing jitters, while impacts are kept.
 
-    Networks that look at video err for seconds, by limb, and their path drifts; here residuals
-    are weighed by the inverse of their covariance in time, so that fast changes are believed and
-    lasting deviations are cheap. Limbs that are exchanged for moments are put right, stretches
-    between jumps err each for itself. Left-out frames are filled.
+    Errors of such networks last for seconds in single limbs, and their path drifts. Residuals are
+    therefore weighted by the inverse of their covariance over time: fast changes are kept, lasting
+    deviations cost little. Exchanged limbs are put right, errors before and after a jump are taken
+    as independent, and frames that were left out are filled.
 
     Args:
         motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
@@ -57,10 +57,10 @@ def refine(
             for which coefficients of another body model mean nothing; None is the average shape.
         frame_rate: frames per second of an estimate, or of 2D detections, that do not say it; an
             estimate of a film has the film's unless given.
-        unit: of the estimate's translation; None tells it from feet that stand.
-        up: axis of the estimate's world that points up, or down; None tells it from the body.
-        hand: handedness of the estimate's coordinates; None is right, of keypoints told from the
-            body.
+        unit: of the estimate's translation; None infers it from standing feet.
+        up: axis of the estimate's world that points up, or down; None infers it from the body.
+        hand: handedness of the estimate's coordinates; None is right; of keypoints, it is inferred
+            from the body.
         person: which of several people in a file, from 0 on; None takes the one of most frames.
         ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
         film: that the network saw, or 2D detections in it with their frame rate: a second
@@ -69,8 +69,8 @@ def refine(
         how: others of `recon.fit`; with a film also options of reading it, `camera`, `detector`.
 
     Raises:
-        ReconError: when the estimate is damaged, no estimate, lasts less than four frames, its
-            frame rate is missing, or nobody in the film moves like it.
+        ReconError: when the file is damaged or holds no estimate, the estimate has fewer than four
+            frames or no frame rate, or nobody in the film moves like it.
         FileNotFoundError: when there is no such file.
     """
     if ground not in ("known", "unknown"):

@@ -65,8 +65,8 @@ def batch(
         processes: that work at a time, one thread each; default: 2, and with --ray as many as
             the cluster has processors.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
-        ray: `local`, or the address of a Ray cluster that does the work (recon[ray]); its machines
-            have recon and see the same files under the same paths.
+        ray: `local`, or the address of a Ray cluster that does the work (motion-recon[ray]); its
+            machines have recon and see the same files under the same paths.
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """

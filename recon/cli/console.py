@@ -80,7 +80,7 @@ def print_facts(title: str, values: Mapping[str, Any]) -> None:
 
 
 def print_table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print a table on stderr: rows by name, one column per key of the first row."""
+    """Print a table on stderr: rows by name, a column per key; without rows, the title alone."""
     if not _quiet.get():
         _print_rows(title, rows, stderr=True)
 
@@ -98,7 +98,7 @@ def _print_rows(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bo
     for name, row in rows.items():
         cells = (name, *(_cell_text(row.get(column)) for column in columns))
         shown.add_row(*(Text(visible(cell)) for cell in cells))
-    Console(stderr=stderr).print(shown)
+    Console(stderr=stderr).print(shown if rows else shown.title)
 
 
 def _cell_text(value: Any) -> str:

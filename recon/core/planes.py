@@ -83,7 +83,7 @@ def find_ground(
             continue
         ground = Ground.create(torch.from_numpy(normal), torch.tensor(offset).double())
         return FoundGround(ground, f"a plane with {share:.0%} of the points")
-    return FoundGround(None, f"no ground: found {rejected}")
+    return FoundGround(None, f"no ground is seen in the points (found {rejected})")
 
 
 def find_walls(

@@ -270,8 +270,9 @@ def observed_joints(
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = observation.shown_joints(estimate)
-        # the observation's nearest frame in time, for every frame of the motion
+        # the observation's nearest frame in time, for every frame of the motion, which at the
+        # 30 Hz of HuMoR's networks may outlast the data by up to one frame
         number = np.rint((times - observation.start_time) * observation.fps).astype(int)
-        within = (number >= 0) & (number < len(moments))
-        seen[within] |= moments[number[within]]
+        within = (number >= 0) & (number < len(moments) + max(0, observation.fps / motion.fps - 1))
+        seen[within] |= moments[number[within].clip(max=len(moments) - 1)]
     return seen

@@ -167,7 +167,8 @@ def bundled_folder() -> Path:
     except ImportError as error:
         raise ReconError(
             f"films need a detector of people and the package {error.name}, which is not "
-            "installed; install both with: pip install 'motion-recon[film]'"
+            "installed; install both with: pip install 'motion-recon[film]' (in a checkout: "
+            "pip install ./film-models '.[film]')"
         ) from error
     return recon_film_models.FOLDER
 

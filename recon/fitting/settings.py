@@ -99,8 +99,8 @@ class FitSettings(ReadOptions):
     prior: str = "humor"
     """Prior of motions: `humor` knows steps from pose to pose and contacts of feet, `pose` single
     poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `recording` HuMoR
-    with cycles of gait where little was seen. Or one that another package registered, or the class
-    of one of your own, package.module:Class."""
+    over a whole recording (`recon complete`). Or one that another package registered, or a class
+    of your own, package.module:Class."""
     weights: str = "open"
     """Weights of the prior: `open` or a file."""
     method: str | None = None

@@ -58,7 +58,7 @@ class Stream:
         """Create a stream without data.
 
         Args:
-            prior: `pose`, or `humor`, which needs 30 moments a second, takes two to three times as
+            prior: `pose`, or `humor`, which needs 30 moments a second, takes about four times as
                 long and is more accurate except for the fastest motions; or a loaded prior. With
                 `look`, or a `recon.method.Look`, nothing is fitted: estimates are a network's
                 proposals, for named points in space and calibrated views at any rate.

@@ -30,13 +30,13 @@ def stream(
     sensors a list of such lists. Without a time, a moment is one frame after the last.
 
     Stdout has a JSON object per line and estimate: time, trans, poses (axis-angle), joints, betas,
-    observed, and findings where something was noticed. Lines that are no moments are told on
-    stderr and passed over.
+    observed, and findings where something was noticed. Lines that are no moments are
+    skipped, and stderr says which.
 
     Args:
         observations: observation files of the sensors, of any length.
-        prior: `pose`; `humor` is nearer to the truth but in the fastest motions, takes two to
-            three times as long and needs 30 moments a second.
+        prior: `pose`; `humor` is more accurate except for the fastest motions, takes about four
+            times as long and needs 30 moments a second.
         method: `look` gives what a network proposes at first sight, not refined, in the place of a
             prior; or a network of your own, package.module:Class.
         lag: frames after which an estimate is final.

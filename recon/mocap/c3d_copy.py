@@ -40,7 +40,8 @@ def write_renamed_c3d(
     """
     data = read_binary(source)
     header, groups = c3d.read_head(data, source)
-    if "ROTATION" in groups:
+    # ezc3d writes this group into every file, without labels where there are no rotations
+    if c3d.texts(groups.get("ROTATION", {}), "LABELS"):
         raise FormatError(f"{source}: cannot rename a C3D file of rotations; write .trc or .csv")
     old, chosen = c3d.chosen_points(header, groups)
     kept = [k for k in range(header.points) if k not in set(chosen)]

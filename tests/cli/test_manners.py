@@ -111,6 +111,12 @@ def test_info_is_written_where_pipes_find_it(capsys):
     assert shown.err == ""
 
 
+def test_a_table_without_rows_is_its_title(capsys):
+    """A report without cycles of gait had its title in letters below each other."""
+    console.print_table("trial.c3d: 0 cycles of gait", {})
+    assert capsys.readouterr().err == "trial.c3d: 0 cycles of gait\n"
+
+
 def test_quiet_leaves_the_last_line_and_what_went_wrong(capsys):
     with console.quiet_if(True):
         console.print_progress("said")

@@ -63,6 +63,7 @@ def test_what_stands_on_the_ground_comes_apart():
 def test_no_ground_is_said_with_its_reason(points, reason):
     found = find_ground([points], UP)
     assert found.ground is None
+    assert found.reason.startswith("no ground is seen in the points")
     assert reason in found.reason
 
 

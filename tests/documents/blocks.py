@@ -40,7 +40,7 @@ def blocks(page: Path, language: str) -> list[Block]:
 
 
 def commands(block: Block) -> list[list[str]]:
-    """The words of every command of a shell block, without comments and line breaks in it."""
-    lines = block.code.replace("\\\n", " ").splitlines()
-    words = [shlex.split(line, comments=True) for line in lines]
+    """The words of every command of a shell block, without comments, line breaks, redirections."""
+    lines = block.code.replace("\\\n", " ").replace("&&", "\n").splitlines()
+    words = [shlex.split(re.split(r" [<>] ", line)[0], comments=True) for line in lines]
     return [one for one in words if one]

@@ -1,5 +1,6 @@
 """Copies of C3D files with other names of points keep everything else."""
 
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,20 @@ def test_only_points_change(data: Path, tmp_path: Path, file: str) -> None:
                 ("POINT", word) for word in ("USED", "DATA_START", "LABELS", "DESCRIPTIONS")
             ]:
                 assert np.array_equal(value, then.groups[group][key]), f"{group}:{key}"
+
+
+def test_a_file_of_ezc3d_is_copied(tmp_path: Path) -> None:
+    """Every file that ezc3d wrote was refused, since it has a group ROTATION without rotations."""
+    pytest.importorskip("ezc3d")
+    example = Path(__file__).parents[2] / "examples" / "05_c3d.py"
+    source = runpy.run_path(str(example))["written"](tmp_path / "in.c3d")
+    out = tmp_path / "out.c3d"
+    read = read_c3d(source)
+    names = tuple(f"N{name}" for name in read.marker_names)
+    write_renamed_c3d(out, source, names, np.tile(np.arange(len(names)), (read.frames, 1)))
+    again = read_c3d(out)
+    assert again.marker_names == names
+    assert np.array_equal(again.positions, read.positions)
 
 
 def test_a_file_with_poses_of_segments_is_refused(data: Path, tmp_path: Path) -> None:
