@@ -144,7 +144,7 @@ def shapes_of_subjects(
     return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
-FIT_VERSION = 20
+FIT_VERSION = 21
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 
