@@ -140,6 +140,14 @@ def test_what_is_no_list_of_paths_is_refused():
             recon.register(given)
 
 
+def test_a_film_is_refused_on_the_command_line(tmp_path, capsys):
+    paths = saved(tmp_path, posed=True)
+    (tmp_path / "film.mp4").write_bytes(b"no film")
+    given = [str(paths[0]), str(tmp_path / "film.mp4"), "--out", str(tmp_path / "rig")]
+    assert cli.run(["register", *given]) == cli.BAD_INPUT
+    assert "film.mp4" in capsys.readouterr().err
+
+
 def test_scans_of_a_wide_room_with_textures_and_dots_in_their_names_are_read(tmp_path):
     folders = [tmp_path / "cam.1", tmp_path / "cam.2"]
     for folder, file in zip(folders, filmed()[0], strict=False):
