@@ -78,8 +78,11 @@ class DepthRig:
         Raises:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
-        output = Output(Path(out), OutputKind.FOLDER)
-        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
+        with writing(
+            Output(Path(out), OutputKind.FOLDER),
+            report=report or self.report(),
+            overwrite=overwrite,
+        ) as (staged,):
             for name, file in self.files.items():
                 save_observation(staged / f"{name}.npz", file)
         return tuple(Path(out) / f"{name}.npz" for name in self.files)
@@ -151,13 +154,12 @@ def register(
             "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
     found, shared = refined_poses(views, start, base, level)
-    for name, share in zip(names, shared, strict=True):
-        if share < _SHARED:
-            raise ObservationError(
-                f"{name}: another camera sees {share:.0%} of what this one sees, expected at "
-                f"least {_SHARED:.0%}: place cameras nearer to each other, or let them see the "
-                "room"
-            )
+    share, name = min(zip(shared.tolist(), names, strict=True))
+    if share < _SHARED:
+        raise ObservationError(
+            f"{name}: another camera sees {share:.0%} of what this one sees, expected at "
+            f"least {_SHARED:.0%}: place cameras nearer to each other, or let them see the room"
+        )
     placed = {
         name: _in_world(file, pose @ T, bare=given.camera is None)
         for name, file, given, pose, T in zip(names, own, files, found, stands, strict=True)
@@ -225,10 +227,8 @@ def _in_own_frame(file: PointsFile) -> PointsFile:
 
 def _camera_of(file: PointsFile) -> CameraArrays:
     """Return the camera in a file of points, or a default depth camera if it has none."""
-    if file.camera is not None:
-        return file.camera
     usual = depth_camera()
-    return CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
+    return file.camera or CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
 
 
 def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
