@@ -156,3 +156,21 @@ def test_one_view_is_refused(tmp_path):
 def test_impossible_height_is_refused():
     with pytest.raises(ObservationError, match=r"height: expected 0\.5 to 2\.5 metres, got 180"):
         recon.calibrate(["a.json", "b.json"], height=180.0)
+
+
+def test_short_recordings_are_no_error_of_a_library():
+    """Films may begin a second apart, which is longer than these are."""
+    short = [
+        replace(one, pixels=one.pixels[:20], confidence=one.confidence[:20]) for one in filmed()
+    ]
+    check_poses(list(rig_of_person(short, 30).T_camera_world), degrees=4.0, share=0.1)
+    one = [replace(view, pixels=view.pixels[:1], confidence=view.confidence[:1]) for view in short]
+    with pytest.raises(ObservationError, match="share 60 keypoints"):
+        rig_of_person(one, 30)
+
+
+def test_films_that_begin_too_far_apart_are_refused():
+    views = filmed()[:2]
+    views[1] = views[1].shifted(-9)
+    with pytest.raises(ObservationError, match="begin 9 frames apart, expected at most 5"):
+        rig_of_person(views, longest_shift=5)
