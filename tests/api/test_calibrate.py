@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import recon
 from recon import cli
+from recon.api.calibrate import CameraRig
 from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.formats.calibration import load_cameras
@@ -174,3 +176,18 @@ def test_films_that_begin_too_far_apart_are_refused():
     views[1] = views[1].shifted(-9)
     with pytest.raises(ObservationError, match="begin 9 frames apart, expected at most 5"):
         rig_of_person(views, longest_shift=5)
+
+
+def calibrated(tmp_path: Path, keep: list[np.ndarray], **options: Any) -> CameraRig:
+    folders = [
+        write_openpose(tmp_path / f"cam{k}", [[one * kept[:, None]] for one in images(camera_, k)])
+        for k, (camera_, kept) in enumerate(zip(TRUE[: len(keep)], keep, strict=True))
+    ]
+    how = {"frame_rate": FPS, "layout": LAYOUT, "image_size": TRUE[0].image_size}
+    return recon.calibrate(folders, **{**how, **options})
+
+
+def test_a_frame_rate_of_zero_is_refused(tmp_path: Path):
+    every = np.ones(25)
+    with pytest.raises(ObservationError, match="it was given as 0"):
+        calibrated(tmp_path, [every, every], frame_rate=0.0)
