@@ -36,6 +36,9 @@ _LONGEST_SHIFT = 1.0
 _LONGEST_FIT = 10.0
 """Seconds that are fitted to find the ground and the person's size."""
 _LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_UNEVEN = 2.0
+"""Ratio of a limb's length to that of other limbs, relative to an average body's, that nobody has:
+those of people in real films are 0.7 to 1.3."""
 _HEIGHTS = (0.5, 2.5)
 """Metres."""
 
@@ -245,21 +248,31 @@ def _rotation_to_z_up_and_scale(
     """
     points = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
     rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
-    ratios = []
-    for side in ("left", "right"):
-        for upper, lower in _LIMBS:
-            a, b = (points.get(f"{side}_{one}") for one in (upper, lower))
-            own = [rest[joint_index(f"{side}_{one}")] for one in (upper, lower)]
-            if a is not None and b is not None:
-                length = np.nanmedian(np.linalg.norm(a - b, axis=-1))
-                ratios.append(np.linalg.norm(own[0] - own[1]) / length)
+    pairs = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _LIMBS]
+    seen = [(a, b) for a, b in pairs if np.isfinite(points[a] - points[b]).any()]
+    ratios = [
+        np.linalg.norm(rest[joint_index(a)] - rest[joint_index(b)])
+        / np.nanmedian(np.linalg.norm(points[a] - points[b], axis=-1))
+        for a, b in seen
+    ]
     told = zip(rig.T_camera_world, people, strict=True)
     ups = [T[:3, :3].T @ one.up for T, one in told if one.up is not None]
     if not ups:
         rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
         ups = [np.nanmean(rise, axis=(0, 1))]
-    up = np.mean(ups, axis=0)
-    return rotation_to_level(up / np.linalg.norm(up)), float(np.median(ratios))
+    if not ups or not seen:
+        raise ObservationError(
+            "no two cameras see limbs of the person, and shoulder and ankle of one side, which "
+            "tell size and vertical; film the person from head to foot"
+        )
+    unit, up = float(np.median(ratios)), np.mean(ups, axis=0)
+    if max(ratios) > _UNEVEN * unit or min(ratios) < unit / _UNEVEN:
+        raise ObservationError(
+            f"limbs of the person come out {unit / max(ratios):.1f} to {unit / min(ratios):.1f} "
+            f"times as long as a body's, expected {1 / _UNEVEN:g} to {_UNEVEN:g}; do all views "
+            "show one person (--person counts in each view by itself) at the same time?"
+        )
+    return rotation_to_level(up / np.linalg.norm(up)), unit
 
 
 def _camera_poses_and_body_height(

@@ -187,6 +187,21 @@ def calibrated(tmp_path: Path, keep: list[np.ndarray], **options: Any) -> Camera
     return recon.calibrate(folders, **{**how, **options})
 
 
+def test_a_person_without_feet_tells_no_vertical(tmp_path: Path):
+    feet = np.array([not name.endswith("ankle") for name in keypoint_names(LAYOUT)])
+    with pytest.raises(ObservationError, match="film the person from head to foot"):
+        calibrated(tmp_path, [feet, feet])
+
+
+def test_films_of_other_moments_are_refused(tmp_path: Path):
+    rows = [images(one, seed) for seed, one in enumerate(TRUE[:2])]
+    early = write_openpose(tmp_path / "early", [[one] for one in rows[0][:20]])
+    later = write_openpose(tmp_path / "later", [[one] for one in rows[1][41:]], first=41)
+    size = TRUE[0].image_size
+    with pytest.raises(ObservationError, match="do all views show one person"):
+        recon.calibrate([early, later], frame_rate=FPS, layout=LAYOUT, image_size=size)
+
+
 def test_a_frame_rate_of_zero_is_refused(tmp_path: Path):
     every = np.ones(25)
     with pytest.raises(ObservationError, match="it was given as 0"):
