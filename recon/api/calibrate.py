@@ -65,8 +65,10 @@ class CameraRig:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the calibration; see `MotionResult.report`."""
-        found = {"late": dict(self.late), "error": self.error, "person": self.person}
-        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
+        return {
+            "late": dict(self.late), "error": self.error, "person": self.person,
+            "decisions": list(self.decisions), **closing_fields(inputs, settings),
+        }  # fmt: skip
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
@@ -147,18 +149,28 @@ def calibrate(
             f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
         )
     paths, _ = files_of_views(paths_given(observations))
-    if board is not None or square is not None:
+    given = {
+        "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
+        "image_size": image_size, "detector": detector, "detections": detections,
+    }  # fmt: skip
+    by_board = board is not None or square is not None
+    unused = (
+        {**given, "height": height} if by_board
+        else {} if any(map(is_film, paths))
+        else {"detector": detector, "detections": detections}
+    )  # fmt: skip
+    if names := [name for name, value in unused.items() if value is not None]:
+        raise ObservationError(
+            f"a calibration by {'films of a checkerboard' if by_board else '2D keypoints'} does "
+            f"not use {', '.join(names)}; leave these out"
+        )
+    if by_board:
         return _calibrated_by_board(paths, board or "", square)
     if len(paths) < 2:
         raise ObservationError(
             f"expected films or files of 2D keypoints of two or more cameras, got {len(paths)}"
         )
-    how = ReadOptions.of(
-        {
-            "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
-            "image_size": image_size, "detector": detector, "detections": detections,
-        }
-    )  # fmt: skip
+    how = ReadOptions.of(given)
     with as_format_errors():
         views = [read_views([path], how).views_of_person(person) for path in paths]
     files = _padded_keypoints_by_camera(views)
@@ -169,8 +181,7 @@ def calibrate(
     cameras: dict[str, CameraArrays] = {}
     for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
         pose[:3, 3] *= scale
-        lens = _with_focal_length(view.files[0].camera, float(focal))
-        cameras[name] = replace(lens, T_camera_world=pose[None])
+        cameras[name] = _placed_camera(view.files[0].camera, float(focal), pose)
     assumed = (
         f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are wrong by "
         "the same factor as this height; give --height"
@@ -182,7 +193,14 @@ def calibrate(
         dict(zip(files, rig.late.tolist(), strict=True)),
         rig.error,
         tall * scale,
-        (*(said for view in views for said in view.decisions), assumed),
+        (
+            *(said for view in views for said in view.decisions),
+            *(
+                f"{name}: begins {late / views[0].files[0].fps:z.2f} s late"
+                for name, late in zip(files, rig.late, strict=True)
+            ),
+            assumed,
+        ),
     )
 
 
@@ -220,10 +238,9 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
     found = {}
     for name, view, file in zip(camera_names, views, files, strict=True):
-        before = view.first_frame - first
-        after = stop - view.first_frame - len(file.pixels)
-        pixels = np.pad(undistorted_keypoints(file), ((before, after), (0, 0), (0, 0)))
-        confidence = np.pad(file.confidence, ((before, after), (0, 0)))
+        around = (view.first_frame - first, stop - view.first_frame - len(file.pixels))
+        pixels = np.pad(undistorted_keypoints(file), (around, (0, 0), (0, 0)))
+        confidence = np.pad(file.confidence, (around, (0, 0)))
         lens = replace(file.camera, T_camera_world=None, distortion=None)
         found[name] = replace(file, pixels=pixels, confidence=confidence, camera=lens)
     return found
@@ -257,8 +274,8 @@ def _rotation_to_z_up_and_scale(
     ]
     told = zip(rig.T_camera_world, people, strict=True)
     ups = [T[:3, :3].T @ one.up for T, one in told if one.up is not None]
-    if not ups:
-        rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
+    rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
+    if not ups and np.isfinite(rise).any():
         ups = [np.nanmean(rise, axis=(0, 1))]
     if not ups or not seen:
         raise ObservationError(
@@ -295,7 +312,7 @@ def _camera_poses_and_body_height(
     for (name, file), T, focal, late in own:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = T[:3, :3] @ turn.T, unit * T[:3, 3]
-        camera = replace(_with_focal_length(file.camera, focal), T_camera_world=pose[None])
+        camera = _placed_camera(file.camera, focal, pose)
         shifted = replace(file, camera=camera, start_time=-late / first.fps)
         seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))
         poses[name] = pose
@@ -304,15 +321,19 @@ def _camera_poses_and_body_height(
     )
     assert found.T_world_camera is not None
     moved = found.T_world_camera.double().numpy() @ next(iter(poses.values()))
-    lifted = {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()}
-    return lifted, float(body.height(found.motion.shape))
+    return (
+        {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()},
+        float(body.height(found.motion.shape)),
+    )
 
 
-def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
-    """Return a copy of a camera with the given focal length (pixels) and without a pose."""
+def _placed_camera(
+    camera: CameraArrays, focal: float, pose: Float[np.ndarray, "4 4"]
+) -> CameraArrays:
+    """Return a camera with the given focal length (pixels) and pose (T_camera_world)."""
     matrix = camera.camera_matrix.copy()
     matrix[[0, 1], [0, 1]] = focal
-    return CameraArrays(matrix, camera.image_size, camera.distortion)
+    return CameraArrays(matrix, camera.image_size, camera.distortion, pose[None])
 
 
 def _span_seen_best(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:

@@ -202,6 +202,12 @@ def test_films_of_other_moments_are_refused(tmp_path: Path):
         recon.calibrate([early, later], frame_rate=FPS, layout=LAYOUT, image_size=size)
 
 
+def test_what_keypoints_do_not_need_is_refused(tmp_path: Path):
+    every = np.ones(25)
+    with pytest.raises(ObservationError, match="does not use detector, detections"):
+        calibrated(tmp_path, [every, every], detector="full", detections="kept")
+
+
 def test_a_frame_rate_of_zero_is_refused(tmp_path: Path):
     every = np.ones(25)
     with pytest.raises(ObservationError, match="it was given as 0"):

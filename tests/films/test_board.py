@@ -76,6 +76,9 @@ def test_what_is_no_board_is_refused(films, tmp_path):
     for square in (None, "25", "25mm2", "3 furlongs", "4m"):
         with pytest.raises(ValueError, match="expected"):
             Board.of("9x6", square)
+    for unused in ({"height": 1.8}, {"camera": left}, {"frame_rate": 30.0}, {"person": 0}):
+        with pytest.raises(recon.ReconError, match=f"does not use {next(iter(unused))}"):
+            recon.calibrate(left, board="7x4", square="50mm", **unused)  # pyright: ignore[reportArgumentType]
     with pytest.raises(recon.ReconError, match="9x6 inner corners is seen in 0 moments"):
         recon.calibrate(left, board="9x6", square="25mm")
     (tmp_path / "rig.toml").write_text("")
