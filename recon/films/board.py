@@ -23,6 +23,9 @@ _MOST, _FEWEST, _FEWEST_SHARED = 50, 8, 3
 must both see the board."""
 _MOST_DEVIATION = 0.02
 """Largest relative standard deviation of a focal length that is accepted."""
+_AT_ODDS = 0.01
+"""Share of the focal length by which corners that two cameras see at once may miss each other: two
+centimetres at two metres, as where films begin some frames apart."""
 _BLURRED = 3.0
 """Multiple of the median corner error of all moments above which one is left out as blurred."""
 _STILL, _STILL_S = 0.5, 1.0
@@ -228,6 +231,12 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
             [board.points] * len(moments), *places, *one.lens, *other.lens, one.camera.image_size,
         )  # fmt: skip
         found = cv2.stereoCalibrate(*given, flags=cv2.CALIB_FIX_INTRINSIC)
+        if (off := found[0] / other.camera.camera_matrix[0, 0]) > _AT_ODDS:
+            raise ObservationError(
+                f"{names[known]} and {names[new]} disagree where the board is: corners lie "
+                f"{off:.1%} of the focal length off, expected at most {_AT_ODDS:.1%}; start all "
+                "films at one moment, at one frame rate, and do not mirror any"
+            )
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = found[5], np.ravel(found[6])
         poses[new] = step @ poses[known]

@@ -11,7 +11,18 @@ from recon import cli
 from recon.films.board import Board
 from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
-from tests.films.boards import BOARD, DISTORTION, FOCAL, TURN, board_poses, camera, film, picture
+from tests.films.boards import (
+    BOARD,
+    DISTORTION,
+    FOCAL,
+    RATE,
+    TURN,
+    board_poses,
+    camera,
+    film,
+    picture,
+)
+from tests.films.painted import write
 
 TRUE = {"left": camera(0.0, FOCAL), "right": camera(TURN, 400.0)}
 WORDS = ["--board", f"{BOARD.columns}x{BOARD.rows}", "--square", "50mm"]
@@ -46,6 +57,17 @@ def test_two_films_of_a_board_tell_lenses_poses_and_the_floor(films, tmp_path, c
     for pose, right in zip(poses, true, strict=True):
         assert pose[2, 3] == pytest.approx(right[2, 3], abs=0.01), "height above the floor"
         assert np.degrees(np.arccos(min(pose[2, :3] @ right[2, :3], 1.0))) < 0.5
+
+
+@pytest.mark.parametrize("change", ["late", "mirrored"])
+def test_films_that_disagree_where_the_board_is_are_refused(films, tmp_path, change):
+    """Both gave cameras that were decimetres off."""
+    rng = np.random.default_rng(0)
+    images = [picture(TRUE["right"], one, rng) for one in board_poses()]
+    wrong = images[1:] if change == "late" else [image[:, ::-1].copy() for image in images]
+    write(tmp_path / "wrong.mp4", wrong, RATE)
+    with pytest.raises(recon.ReconError, match="wrong disagree where the board is"):
+        recon.calibrate([films["left"], tmp_path / "wrong.mp4"], board="7x4", square="50mm")
 
 
 def test_one_film_of_a_board_tells_its_lens(films, tmp_path):
