@@ -225,14 +225,14 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     if len(set(camera_names)) < len(camera_names):
         raise ObservationError(
             "cameras are named after their files, so files need different names, got "
-            f"{', '.join(camera_names)}; rename one"
+            f"{', '.join(camera_names)}; rename one, or name a lens in --camera for each"
         )
     for what in ("layout", "fps"):
         told = {getattr(file, what) for file in files}
         if len(told) > 1:
             raise ObservationError(
                 f"expected one {'frame rate' if what == 'fps' else what} for all views, got "
-                f"{', '.join(map(str, sorted(told)))}; film and detect all with the same settings"
+                f"{', '.join(map(str, sorted(told)))}; detect all alike, or give the right one"
             )
     first = min(view.first_frame for view in views)
     stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
@@ -310,8 +310,7 @@ def _camera_poses_and_body_height(
     seen: list[Sensor] = []
     own = zip(files.items(), rig.T_camera_world, rig.focal, rig.late, strict=True)
     for (name, file), T, focal, late in own:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = T[:3, :3] @ turn.T, unit * T[:3, 3]
+        pose = np.vstack((np.hstack((T[:3, :3] @ turn.T, unit * T[:3, 3:])), (0, 0, 0, 1)))
         camera = _placed_camera(file.camera, focal, pose)
         shifted = replace(file, camera=camera, start_time=-late / first.fps)
         seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))

@@ -62,11 +62,12 @@ class DepthRig:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the poses; see `MotionResult.report`."""
-        poses = {
-            name: np.linalg.inv(_camera_pose(file)).tolist() for name, file in self.files.items()
-        }
         return {
-            "T_world_camera": poses, "shared": dict(self.shared),
+            "T_world_camera": {
+                name: np.linalg.inv(_camera_pose(file)).tolist()
+                for name, file in self.files.items()
+            },
+            "shared": dict(self.shared),
             "decisions": list(self.decisions), **closing_fields(inputs, settings),
         }  # fmt: skip
 
@@ -177,11 +178,11 @@ def _refuse_unused(
 ) -> None:
     """Refuse options that none of the files needs."""
     images = any(map(_holds_images, paths))
-    untimed = any(path.is_dir() and not (path / "times.csv").exists() for path in paths)
     unused = {
         "camera": camera is not None and not images,
         "depth_scale": depth_scale != DEFAULTS.depth_scale and not images,
-        "frame_rate": frame_rate is not None and not untimed,
+        "frame_rate": frame_rate is not None
+        and not any(path.is_dir() and not (path / "times.csv").exists() for path in paths),
     }
     if names := [name for name, given in unused.items() if given]:
         raise ObservationError(
