@@ -36,6 +36,9 @@ _LONGEST_SHIFT = 1.0
 _LONGEST_FIT = 10.0
 """Seconds that are fitted to find the ground and the person's size."""
 _LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_UNEVEN = 2.0
+"""Ratio of a limb's length to that of other limbs, relative to an average body's, that nobody has:
+those of people in real films are 0.7 to 1.3."""
 _HEIGHTS = (0.5, 2.5)
 """Metres."""
 
@@ -62,8 +65,10 @@ class CameraRig:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the calibration; see `MotionResult.report`."""
-        found = {"late": dict(self.late), "error": self.error, "person": self.person}
-        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
+        return {
+            "late": dict(self.late), "error": self.error, "person": self.person,
+            "decisions": list(self.decisions), **closing_fields(inputs, settings),
+        }  # fmt: skip
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
@@ -144,18 +149,28 @@ def calibrate(
             f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
         )
     paths, _ = files_of_views(paths_given(observations))
-    if board is not None or square is not None:
+    given = {
+        "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
+        "image_size": image_size, "detector": detector, "detections": detections,
+    }  # fmt: skip
+    by_board = board is not None or square is not None
+    unused = (
+        {**given, "height": height} if by_board
+        else {} if any(map(is_film, paths))
+        else {"detector": detector, "detections": detections}
+    )  # fmt: skip
+    if names := [name for name, value in unused.items() if value is not None]:
+        raise ObservationError(
+            f"a calibration by {'films of a checkerboard' if by_board else '2D keypoints'} does "
+            f"not use {', '.join(names)}; leave these out"
+        )
+    if by_board:
         return _calibrated_by_board(paths, board or "", square)
     if len(paths) < 2:
         raise ObservationError(
             f"expected films or files of 2D keypoints of two or more cameras, got {len(paths)}"
         )
-    how = ReadOptions.of(
-        {
-            "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
-            "image_size": image_size, "detector": detector, "detections": detections,
-        }
-    )  # fmt: skip
+    how = ReadOptions.of(given)
     with as_format_errors():
         views = [read_views([path], how).views_of_person(person) for path in paths]
     files = _padded_keypoints_by_camera(views)
@@ -166,8 +181,7 @@ def calibrate(
     cameras: dict[str, CameraArrays] = {}
     for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
         pose[:3, 3] *= scale
-        lens = _with_focal_length(view.files[0].camera, float(focal))
-        cameras[name] = replace(lens, T_camera_world=pose[None])
+        cameras[name] = _placed_camera(view.files[0].camera, float(focal), pose)
     assumed = (
         f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are wrong by "
         "the same factor as this height; give --height"
@@ -179,7 +193,14 @@ def calibrate(
         dict(zip(files, rig.late.tolist(), strict=True)),
         rig.error,
         tall * scale,
-        (*(said for view in views for said in view.decisions), assumed),
+        (
+            *(said for view in views for said in view.decisions),
+            *(
+                f"{name}: begins {late / views[0].files[0].fps:z.2f} s late"
+                for name, late in zip(files, rig.late, strict=True)
+            ),
+            assumed,
+        ),
     )
 
 
@@ -204,23 +225,22 @@ def _padded_keypoints_by_camera(views: Sequence[Views]) -> dict[str, KeypointsFi
     if len(set(camera_names)) < len(camera_names):
         raise ObservationError(
             "cameras are named after their files, so files need different names, got "
-            f"{', '.join(camera_names)}; rename one"
+            f"{', '.join(camera_names)}; rename one, or name a lens in --camera for each"
         )
     for what in ("layout", "fps"):
         told = {getattr(file, what) for file in files}
         if len(told) > 1:
             raise ObservationError(
                 f"expected one {'frame rate' if what == 'fps' else what} for all views, got "
-                f"{', '.join(map(str, sorted(told)))}; film and detect all with the same settings"
+                f"{', '.join(map(str, sorted(told)))}; detect all alike, or give the right one"
             )
     first = min(view.first_frame for view in views)
     stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
     found = {}
     for name, view, file in zip(camera_names, views, files, strict=True):
-        before = view.first_frame - first
-        after = stop - view.first_frame - len(file.pixels)
-        pixels = np.pad(undistorted_keypoints(file), ((before, after), (0, 0), (0, 0)))
-        confidence = np.pad(file.confidence, ((before, after), (0, 0)))
+        around = (view.first_frame - first, stop - view.first_frame - len(file.pixels))
+        pixels = np.pad(undistorted_keypoints(file), (around, (0, 0), (0, 0)))
+        confidence = np.pad(file.confidence, (around, (0, 0)))
         lens = replace(file.camera, T_camera_world=None, distortion=None)
         found[name] = replace(file, pixels=pixels, confidence=confidence, camera=lens)
     return found
@@ -245,21 +265,31 @@ def _rotation_to_z_up_and_scale(
     """
     points = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
     rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
-    ratios = []
-    for side in ("left", "right"):
-        for upper, lower in _LIMBS:
-            a, b = (points.get(f"{side}_{one}") for one in (upper, lower))
-            own = [rest[joint_index(f"{side}_{one}")] for one in (upper, lower)]
-            if a is not None and b is not None:
-                length = np.nanmedian(np.linalg.norm(a - b, axis=-1))
-                ratios.append(np.linalg.norm(own[0] - own[1]) / length)
+    pairs = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _LIMBS]
+    seen = [(a, b) for a, b in pairs if np.isfinite(points[a] - points[b]).any()]
+    ratios = [
+        np.linalg.norm(rest[joint_index(a)] - rest[joint_index(b)])
+        / np.nanmedian(np.linalg.norm(points[a] - points[b], axis=-1))
+        for a, b in seen
+    ]
     told = zip(rig.T_camera_world, people, strict=True)
     ups = [T[:3, :3].T @ one.up for T, one in told if one.up is not None]
-    if not ups:
-        rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
+    rise = [points[f"{s}_shoulder"] - points[f"{s}_ankle"] for s in ("left", "right")]
+    if not ups and np.isfinite(rise).any():
         ups = [np.nanmean(rise, axis=(0, 1))]
-    up = np.mean(ups, axis=0)
-    return rotation_to_level(up / np.linalg.norm(up)), float(np.median(ratios))
+    if not ups or not seen:
+        raise ObservationError(
+            "no two cameras see limbs of the person, and shoulder and ankle of one side, which "
+            "tell size and vertical; film the person from head to foot"
+        )
+    unit, up = float(np.median(ratios)), np.mean(ups, axis=0)
+    if max(ratios) > _UNEVEN * unit or min(ratios) < unit / _UNEVEN:
+        raise ObservationError(
+            f"limbs of the person come out {unit / max(ratios):.1f} to {unit / min(ratios):.1f} "
+            f"times as long as a body's, expected {1 / _UNEVEN:g} to {_UNEVEN:g}; do all views "
+            "show one person (--person counts in each view by itself) at the same time?"
+        )
+    return rotation_to_level(up / np.linalg.norm(up)), unit
 
 
 def _camera_poses_and_body_height(
@@ -280,9 +310,8 @@ def _camera_poses_and_body_height(
     seen: list[Sensor] = []
     own = zip(files.items(), rig.T_camera_world, rig.focal, rig.late, strict=True)
     for (name, file), T, focal, late in own:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = T[:3, :3] @ turn.T, unit * T[:3, 3]
-        camera = replace(_with_focal_length(file.camera, focal), T_camera_world=pose[None])
+        pose = np.vstack((np.hstack((T[:3, :3] @ turn.T, unit * T[:3, 3:])), (0, 0, 0, 1)))
+        camera = _placed_camera(file.camera, focal, pose)
         shifted = replace(file, camera=camera, start_time=-late / first.fps)
         seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))
         poses[name] = pose
@@ -291,15 +320,19 @@ def _camera_poses_and_body_height(
     )
     assert found.T_world_camera is not None
     moved = found.T_world_camera.double().numpy() @ next(iter(poses.values()))
-    lifted = {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()}
-    return lifted, float(body.height(found.motion.shape))
+    return (
+        {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()},
+        float(body.height(found.motion.shape)),
+    )
 
 
-def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
-    """Return a copy of a camera with the given focal length (pixels) and without a pose."""
+def _placed_camera(
+    camera: CameraArrays, focal: float, pose: Float[np.ndarray, "4 4"]
+) -> CameraArrays:
+    """Return a camera with the given focal length (pixels) and pose (T_camera_world)."""
     matrix = camera.camera_matrix.copy()
     matrix[[0, 1], [0, 1]] = focal
-    return CameraArrays(matrix, camera.image_size, camera.distortion)
+    return CameraArrays(matrix, camera.image_size, camera.distortion, pose[None])
 
 
 def _span_seen_best(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:

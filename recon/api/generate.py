@@ -1,7 +1,7 @@
 """`recon.sample` and `recon.predict`: random motions, and continuations of a motion."""
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -232,6 +232,6 @@ def _checked_temperature(temperature: float | None) -> float:
     return temperature
 
 
-def _checked_count(count: int, name: str) -> None:
-    if count < 1:
-        raise ReconError(f"{name}: expected one motion or more, got {count}")
+def _checked_count(count: Any, name: str) -> None:
+    if not hasattr(count, "__index__") or count < 1:
+        raise ReconError(f"{name}: expected one motion or more, a whole number, got {count}")

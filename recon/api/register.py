@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from recon.api.given import paths_given
 from recon.api.observations import ObservationsLike
 from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
@@ -18,12 +19,14 @@ from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
 from recon.formats.depth_images import read_depth_images
 from recon.formats.observations import PointsFile, load_observation, save_observation
+from recon.formats.opening import files_of
 from recon.formats.outputs import Output, OutputKind
-from recon.formats.scans import read_scans
+from recon.formats.scans import cloud_files, read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import as_format_errors, clip_of_files
 from recon.reading.icp import OrientedCloud, refined_poses, rough_poses
+from recon.reading.places import view_name
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -59,11 +62,14 @@ class DepthRig:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the poses; see `MotionResult.report`."""
-        poses = {
-            name: np.linalg.inv(_camera_pose(file)).tolist() for name, file in self.files.items()
-        }
-        found = {"T_world_camera": poses, "shared": dict(self.shared)}
-        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
+        return {
+            "T_world_camera": {
+                name: np.linalg.inv(_camera_pose(file)).tolist()
+                for name, file in self.files.items()
+            },
+            "shared": dict(self.shared),
+            "decisions": list(self.decisions), **closing_fields(inputs, settings),
+        }  # fmt: skip
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
@@ -73,8 +79,11 @@ class DepthRig:
         Raises:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
-        output = Output(Path(out), OutputKind.FOLDER)
-        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
+        with writing(
+            Output(Path(out), OutputKind.FOLDER),
+            report=report or self.report(),
+            overwrite=overwrite,
+        ) as (staged,):
             for name, file in self.files.items():
                 save_observation(staged / f"{name}.npz", file)
         return tuple(Path(out) / f"{name}.npz" for name in self.files)
@@ -111,12 +120,14 @@ def register(
             that share too little; says what to do.
         FileNotFoundError: when there is nothing there.
     """
-    paths = [Path(one) for one in observations]  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
-    names = [path.stem for path in paths]
+    paths = paths_given(observations)
+    names = [view_name(path) for path in paths]
     if len(set(names)) < max(len(names), 2):
         raise ObservationError(
-            f"expected two or more cameras with different names, got {', '.join(names)}"
+            "expected paths of two or more cameras with different names, got "
+            f"{', '.join(names) or 'none'}"
         )
+    _refuse_unused(paths, camera, frame_rate, depth_scale)
     with as_format_errors():
         files = [_read_points(path, camera, frame_rate, depth_scale) for path in paths]
     body = BodyModel.load()
@@ -127,7 +138,7 @@ def register(
     level &= level[base]
     stands = np.stack([np.asarray(one.T_recording_camera) for one in clips])
     posed = all(file.camera and file.camera.T_camera_world is not None for file in files)
-    views = _oriented_clouds(own, stands, level, base)
+    views = _oriented_clouds(names, own, stands, level, base)
     if posed:
         start = np.stack([np.linalg.inv(_camera_pose(file)) for file in files]) @ np.linalg.inv(
             stands
@@ -144,13 +155,12 @@ def register(
             "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
     found, shared = refined_poses(views, start, base, level)
-    for name, share in zip(names, shared, strict=True):
-        if share < _SHARED:
-            raise ObservationError(
-                f"{name}: another camera sees {share:.0%} of what this one sees, expected at "
-                f"least {_SHARED:.0%}: place cameras nearer to each other, or let them see the "
-                "room"
-            )
+    share, name = min(zip(shared.tolist(), names, strict=True))
+    if share < _SHARED:
+        raise ObservationError(
+            f"{name}: another camera sees {share:.0%} of what this one sees, expected at "
+            f"least {_SHARED:.0%}: place cameras nearer to each other, or let them see the room"
+        )
     placed = {
         name: _in_world(file, pose @ T, bare=given.camera is None)
         for name, file, given, pose, T in zip(names, own, files, found, stands, strict=True)
@@ -159,17 +169,38 @@ def register(
         f"the ground that {names[base]} sees is z = 0" if level[base]
         else f"no ground is seen: {names[base]} is taken as held level; fit with --ground unknown"
     )  # fmt: skip
-    begun = "stated poses" if posed else "the path of the person"
-    return DepthRig(
-        placed, dict(zip(names, shared.tolist(), strict=True)), (f"begun by {begun}", ground)
-    )
+    begun = "begun by " + ("stated poses" if posed else "the path of the person")
+    return DepthRig(placed, dict(zip(names, shared.tolist(), strict=True)), (begun, ground))
+
+
+def _refuse_unused(
+    paths: Sequence[Path], camera: str | Path | None, frame_rate: float | None, depth_scale: float
+) -> None:
+    """Refuse options that none of the files needs."""
+    images = any(map(_holds_images, paths))
+    unused = {
+        "camera": camera is not None and not images,
+        "depth_scale": depth_scale != DEFAULTS.depth_scale and not images,
+        "frame_rate": frame_rate is not None
+        and not any(path.is_dir() and not (path / "times.csv").exists() for path in paths),
+    }
+    if names := [name for name, given in unused.items() if given]:
+        raise ObservationError(
+            f"{', '.join(names)}: camera and depth_scale are of depth images alone, frame_rate of "
+            "folders without times.csv; the files given state these themselves, leave them out"
+        )
+
+
+def _holds_images(path: Path) -> bool:
+    """Whether a path is a folder of depth images, and not of clouds with images beside them."""
+    return path.is_dir() and bool(files_of(path, (".png",))) and not cloud_files(path)
 
 
 def _read_points(
     path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
 ) -> PointsFile:
     """Read one depth camera's point clouds; in its own frame if the file has no pose."""
-    if path.is_dir() and any(path.glob("*.png")):
+    if _holds_images(path):
         if camera is None:
             raise ObservationError(f"{path}: depth images need --camera")
         lenses = load_cameras(camera).cameras
@@ -197,10 +228,8 @@ def _in_own_frame(file: PointsFile) -> PointsFile:
 
 def _camera_of(file: PointsFile) -> CameraArrays:
     """Return the camera in a file of points, or a default depth camera if it has none."""
-    if file.camera is not None:
-        return file.camera
     usual = depth_camera()
-    return CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
+    return file.camera or CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
 
 
 def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
@@ -221,21 +250,35 @@ def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _oriented_clouds(
-    files: Sequence[PointsFile], poses: np.ndarray, sees_ground: np.ndarray, base: int
+    names: Sequence[str],
+    files: Sequence[PointsFile],
+    poses: np.ndarray,
+    sees_ground: np.ndarray,
+    base: int,
 ) -> list[OrientedCloud]:
-    """Return clouds of frames that two cameras saw at once, z up, without ground points."""
+    """Return clouds of frames that two cameras saw at once, z up, without ground points.
+
+    Raises:
+        ObservationError: when a camera saw nothing at the same time as another one.
+    """
     generator, first = np.random.default_rng(0), files[base]
     ticks = [
         (one.start_time - first.start_time + one.frame / one.fps) * first.fps for one in files
     ]
     frames = [np.rint(one).astype(np.int64) for one in ticks]
     together_at = [f[np.abs(t - f) < _SAME_TIME] for f, t in zip(frames, ticks, strict=True)]
-    several, counts = np.unique(
+    seen, counts = np.unique(
         np.concatenate([np.unique(one) for one in together_at]), return_counts=True
     )
-    several = several[counts > 1]
-    if len(several) == 0:
-        raise ObservationError("no two cameras saw anything at the same time; check their clocks")
+    several = seen[counts > 1]
+    if alone := [
+        name for name, frame in zip(names, together_at, strict=True)
+        if not np.isin(frame, several).any()
+    ]:  # fmt: skip
+        raise ObservationError(
+            f"{', '.join(alone)}: saw nothing at the same time as another camera; check start "
+            "times and frame rates, which must be of one clock"
+        )
     chosen = several[np.unique(np.linspace(0, len(several) - 1, _FRAMES).round().astype(int))]
     views = []
     for file, frame, tick, T, flat in zip(files, frames, ticks, poses, sees_ground, strict=True):

@@ -20,16 +20,16 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `recon.films.reader.read_film`.
     """
-    films = films_given(given)
+    settings = given.get("settings")
+    how = given if settings is None else vars(settings)
+    films = films_given(given) if "detections" in how else []
     if not films or given.get("board") is not None:
         return dict(given)
     from recon.films.reader import read_film
     from recon.reading.views import check_calibrated
 
-    settings = given.get("settings")
     if settings is not None:
         check_calibrated(films, settings)
-    how = given if settings is None else vars(settings)
     folder = Path(how["detections"] or out.with_name(f"{out.stem}.detections"))
     with console.progress_bars() as bars:
         for film in films:

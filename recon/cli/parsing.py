@@ -24,6 +24,8 @@ def parsed_command(words: Sequence[str]) -> Callable[[], None]:
     import tyro
 
     words = _with_all_joined_to_verb(list(words))
+    if any(word == "" or (word.startswith("--") and word.endswith("=")) for word in words):
+        _exit_with_error("one argument is empty, as of a variable that is not set; leave it out")
     first = words[0] if len(words) > 0 else ""
     if first in listing.CORE or (first and first in listing.verb_names()):
         return _parsed_verb(first, words[1:])

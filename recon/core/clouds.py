@@ -12,7 +12,7 @@ from recon.core.units import METRES, Up, to_z_up
 
 _PERSON = (0.9, 2.6)
 """Metres from corner to corner of a cloud of a person alone; narrower than a factor of ten."""
-_ROOM = (0.4, 8.0)
+_ROOM = (0.4, 25.0)
 """Metres that a cloud with a person, and some of the room, extends over."""
 _UPRIGHT = 1.35
 """Multiple of the other extents that the height of an upright person is at least."""

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,9 @@ _MOST, _FEWEST, _FEWEST_SHARED = 50, 8, 3
 must both see the board."""
 _MOST_DEVIATION = 0.02
 """Largest relative standard deviation of a focal length that is accepted."""
+_AT_ODDS = 0.01
+"""Share of the focal length by which corners that two cameras see at once may miss each other: two
+centimetres at two metres, as where films begin some frames apart."""
 _BLURRED = 3.0
 """Multiple of the median corner error of all moments above which one is left out as blurred."""
 _STILL, _STILL_S = 0.5, 1.0
@@ -155,12 +158,8 @@ def cameras_of_board(
 
 def _calibrated_lens(film: Film, board: Board) -> _Lens:
     seen: dict[int, Corners] = {}
-    last = -1
-    for frame in film:
-        if (moment := round(frame.time * _RATE)) == last:
-            continue
-        last = moment
-        if (corners := board.seen_in(frame.image)) is not None:
+    for moment, frames in groupby(film, lambda frame: round(frame.time * _RATE)):
+        if (corners := board.seen_in(next(frames).image)) is not None:
             seen[moment] = film.in_film(corners)
     if len(seen) < _FEWEST:
         raise ObservationError(
@@ -174,8 +173,7 @@ def _calibrated_lens(film: Film, board: Board) -> _Lens:
         if not moved or np.abs(corners - seen[moved[-1]]).max() > _MOVED:
             moved.append(moment)
     chosen = moved[:: -(-len(moved) // _MOST)]
-    found = _calibrated_camera(film, board, [seen[k] for k in chosen])
-    off = found[1]
+    _, off, _ = _calibrated_camera(film, board, [seen[k] for k in chosen])
     kept = [k for k, one in zip(chosen, off, strict=True) if one <= _BLURRED * np.median(off)]
     camera, off, std = _calibrated_camera(film, board, [seen[k] for k in kept])
     if std > _MOST_DEVIATION:
@@ -228,9 +226,13 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
             [board.points] * len(moments), *places, *one.lens, *other.lens, one.camera.image_size,
         )  # fmt: skip
         found = cv2.stereoCalibrate(*given, flags=cv2.CALIB_FIX_INTRINSIC)
-        step = np.eye(4)
-        step[:3, :3], step[:3, 3] = found[5], np.ravel(found[6])
-        poses[new] = step @ poses[known]
+        if (off := found[0] / other.camera.camera_matrix[0, 0]) > _AT_ODDS:
+            raise ObservationError(
+                f"{names[known]} and {names[new]} disagree where the board is: corners lie "
+                f"{off:.1%} of the focal length off, expected at most {_AT_ODDS:.1%}; start all "
+                "films at one moment, at one frame rate, and do not mirror any"
+            )
+        poses[new] = np.vstack((np.hstack(found[5:7]), (0, 0, 0, 1))) @ poses[known]
     return [poses[k] for k in range(len(cameras))]
 
 
@@ -245,21 +247,20 @@ def _poses_above_floor(
     poses: Sequence[Float[np.ndarray, "4 4"]], lenses: Sequence[_Lens], board: Board
 ) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
     """Return poses T_camera_world and a note; z = 0 is where the board lies still longest."""
-    rests = [_longest_rest(lens.seen) for lens in lenses]
-    moments = max(rests, key=_duration)
+    rests = [
+        (_longest_rest(lens.seen), lens, pose) for lens, pose in zip(lenses, poses, strict=True)
+    ]
+    moments, lens, own = max(rests, key=lambda one: _duration(one[0]))
     if _duration(moments) < _STILL_S:
         raise ObservationError(
             f"the ground is where the board lies still for {_STILL_S:g} s, but it never does; lay "
             "it on the floor at the end, where a camera sees it, before all films stop"
         )
-    k = rests.index(moments)
-    lens = lenses[k]
     mean = np.mean([lens.seen[one] for one in moments], axis=0).reshape(-1, 1, 2)
     _, turn, place = cv2.solvePnP(board.points, mean, *lens.lens)
-    T_camera_board = np.eye(4)
-    T_camera_board[:3, :3], T_camera_board[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
+    T_camera_board = np.vstack((np.hstack((cv2.Rodrigues(turn)[0], place)), (0, 0, 0, 1)))
     # a lying board's z axis points into the floor, the world's upwards: turn by 180° about x
-    T_first_world = np.linalg.inv(poses[k]) @ T_camera_board @ np.diag([1.0, -1.0, -1.0, 1.0])
+    T_first_world = np.linalg.inv(own) @ T_camera_board @ np.diag([1.0, -1.0, -1.0, 1.0])
     note = (
         f"the ground is where the board lies from {moments[0] / _RATE:.1f} to "
         f"{moments[-1] / _RATE:.1f} s"

@@ -164,7 +164,7 @@ def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
 
 def view_name(path: Path) -> str:
     """The name of a view: of its folder, or of its file without ending."""
-    return path.name if path.is_dir() else path.stem
+    return path.absolute().name if path.is_dir() else path.stem
 
 
 def match_cameras(

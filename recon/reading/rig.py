@@ -106,7 +106,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     Raises:
         ObservationError: when two views share too few points or disagree.
     """
-    late = _frame_shifts(views, longest_shift)
+    late = _frame_shifts(views, min(longest_shift, len(views[0].pixels) - 1))
     views = [view.shifted(frames) for view, frames in zip(views, late, strict=True)]
     frames, points = views[0].confidence.shape
     seen = np.stack([view.confidence.reshape(-1) > _SEEN for view in views])
@@ -129,12 +129,18 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
             f"views together place them, expected at most {_OFF:.1%}; do they show one person, "
             "filmed at the same time by cameras that stand still?"
         )
+    shifts = np.array(late) + later - later[0]
+    if np.abs(shifts).max() > longest_shift + 1:
+        raise ObservationError(
+            f"the views agree best where films begin {np.abs(shifts).max():.0f} frames apart, "
+            f"expected at most {longest_shift}; do they show one person at the same time?"
+        )
     T = np.tile(np.eye(4), (len(views), 1, 1))
     T[:, :3] = poses
     return Rig(
         T_camera_world=T,
         focal=scale * [view.focal for view in views],
-        late=np.array(late) + later - later[0],
+        late=shifts,
         points=nearest.reshape(frames, points, 3),
         error=error,
     )
@@ -150,7 +156,8 @@ def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
-    return np.where(three[..., None], np.gradient(_normalised_coordinates(view), axis=0), 0.0)
+    after, before = (np.roll(_normalised_coordinates(view), k, 0) for k in (-1, 1))
+    return np.where(three[..., None], (after - before) / 2.0, 0.0)
 
 
 def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
@@ -239,8 +246,9 @@ def _second_camera_pose(
     agree: Bool[np.ndarray, " points"],
 ) -> Float[np.ndarray, "3 4"]:
     """The pose of the second camera for which the points lie in front of both cameras."""
-    mask = agree.astype(np.uint8)[:, None]
-    _, turn, step, _ = cv2.recoverPose(matrix, places[0], places[1], np.eye(3), mask=mask)
+    _, turn, step, _ = cv2.recoverPose(
+        matrix, places[0], places[1], np.eye(3), mask=agree.astype(np.uint8)[:, None]
+    )
     return np.concatenate((turn, step), 1)
 
 

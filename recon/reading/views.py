@@ -78,7 +78,7 @@ def read_views(
     known = {
         path: one for path in folders if (one := read_sized_detections(path, how)) is not None
     }
-    fps = how.frame_rate or rate_of_views(folders, known)
+    fps = rate_of_views(folders, known) if how.frame_rate is None else how.frame_rate
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "

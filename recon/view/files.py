@@ -132,6 +132,8 @@ def show_of_files(
             f"{motion}: no standard deviations to draw (joint_std): fits under the pose prior and "
             "HuMoR write them, other motions have none"
         )
+    if frame_rate is not None and not film:
+        raise ValueError("--frame-rate is that of a film over which is drawn: give --film as well")
     if film and side is not None:
         raise ValueError(
             "--beside sets a motion next to another, which has no place in a film: "

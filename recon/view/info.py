@@ -51,6 +51,11 @@ from recon.view.info_cameras import (
 _RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
 """Names of the frame rate in motion files; estimates of networks have none."""
 
+_WITH_AXES = (
+    "3D keypoints", "markers", "observation: joints3d", "observation: keypoints3d",
+    "observation: markers3d", "per-frame SMPL parameters", "skeleton",
+)  # fmt: skip
+"""Formats of files whose unit, vertical or handedness a caller may state."""
 _ANY_RATE = 30.0
 """Frames per second assumed for points without a rate; only times depend on it."""
 
@@ -77,9 +82,16 @@ def info(
         raise FileNotFoundError(f"{file}: no such file")
     refuse_unsupported(file, "info")
     found = producer_of(file)
-    verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
-    told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}
-    return {**_describe_by_kind(file, {"unit": unit, "up": up, "hand": hand}), **told}
+    axes = {"unit": unit, "up": up, "hand": hand}
+    facts = _describe_by_kind(file, axes)
+    unused = [name for name, value in axes.items() if value is not None]
+    if unused and not facts["format"].startswith(_WITH_AXES):
+        raise FormatError(
+            f"{file}: recon info uses no {', '.join(unused)} for {facts['format']}; leave it out"
+        )
+    if found is not None:
+        facts |= {"producer": found.name, "taken_by": ", ".join(f"recon {v}" for v in found.verbs)}
+    return facts
 
 
 def _describe_by_kind(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import recon
 from recon import cli
+from recon.api.calibrate import CameraRig
 from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.formats.calibration import load_cameras
@@ -156,3 +158,57 @@ def test_one_view_is_refused(tmp_path):
 def test_impossible_height_is_refused():
     with pytest.raises(ObservationError, match=r"height: expected 0\.5 to 2\.5 metres, got 180"):
         recon.calibrate(["a.json", "b.json"], height=180.0)
+
+
+def test_short_recordings_are_no_error_of_a_library():
+    """Films may begin a second apart, which is longer than these are."""
+    short = [
+        replace(one, pixels=one.pixels[:20], confidence=one.confidence[:20]) for one in filmed()
+    ]
+    check_poses(list(rig_of_person(short, 30).T_camera_world), degrees=4.0, share=0.1)
+    one = [replace(view, pixels=view.pixels[:1], confidence=view.confidence[:1]) for view in short]
+    with pytest.raises(ObservationError, match="share 60 keypoints"):
+        rig_of_person(one, 30)
+
+
+def test_films_that_begin_too_far_apart_are_refused():
+    views = filmed()[:2]
+    views[1] = views[1].shifted(-9)
+    with pytest.raises(ObservationError, match="begin 9 frames apart, expected at most 5"):
+        rig_of_person(views, longest_shift=5)
+
+
+def calibrated(tmp_path: Path, keep: list[np.ndarray], **options: Any) -> CameraRig:
+    folders = [
+        write_openpose(tmp_path / f"cam{k}", [[one * kept[:, None]] for one in images(camera_, k)])
+        for k, (camera_, kept) in enumerate(zip(TRUE[: len(keep)], keep, strict=True))
+    ]
+    how = {"frame_rate": FPS, "layout": LAYOUT, "image_size": TRUE[0].image_size}
+    return recon.calibrate(folders, **{**how, **options})
+
+
+def test_a_person_without_feet_tells_no_vertical(tmp_path: Path):
+    feet = np.array([not name.endswith("ankle") for name in keypoint_names(LAYOUT)])
+    with pytest.raises(ObservationError, match="film the person from head to foot"):
+        calibrated(tmp_path, [feet, feet])
+
+
+def test_films_of_other_moments_are_refused(tmp_path: Path):
+    rows = [images(one, seed) for seed, one in enumerate(TRUE[:2])]
+    early = write_openpose(tmp_path / "early", [[one] for one in rows[0][:20]])
+    later = write_openpose(tmp_path / "later", [[one] for one in rows[1][41:]], first=41)
+    size = TRUE[0].image_size
+    with pytest.raises(ObservationError, match="do all views show one person"):
+        recon.calibrate([early, later], frame_rate=FPS, layout=LAYOUT, image_size=size)
+
+
+def test_what_keypoints_do_not_need_is_refused(tmp_path: Path):
+    every = np.ones(25)
+    with pytest.raises(ObservationError, match="does not use detector, detections"):
+        calibrated(tmp_path, [every, every], detector="full", detections="kept")
+
+
+def test_a_frame_rate_of_zero_is_refused(tmp_path: Path):
+    every = np.ones(25)
+    with pytest.raises(ObservationError, match="it was given as 0"):
+        calibrated(tmp_path, [every, every], frame_rate=0.0)

@@ -118,9 +118,43 @@ def test_what_is_no_rig_is_refused(tmp_path):
         recon.register([paths[0], paths[0]])
     file = load_observation(paths[1])
     save_observation(tmp_path / "far.npz", replace(file, start_time=100.0))
-    with pytest.raises(ReconError, match="at the same time"):
-        recon.register([paths[0], tmp_path / "far.npz"])
+    with pytest.raises(ReconError, match="far: saw nothing at the same time"):
+        recon.register([*paths[:2], tmp_path / "far.npz"])
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "0.png").touch()
     with pytest.raises(ReconError, match="depth images need"):
         recon.register([paths[0], tmp_path / "images"])
+
+
+def test_what_no_file_needs_is_refused(tmp_path):
+    paths = saved(tmp_path, posed=True)
+    for unused in ({"camera": paths[0]}, {"frame_rate": 30.0}, {"depth_scale": float("nan")}):
+        with pytest.raises(ReconError, match=f"{next(iter(unused))}: .* leave them out"):
+            recon.register(paths[:2], **unused)  # pyright: ignore[reportArgumentType]
+
+
+def test_what_is_no_list_of_paths_is_refused():
+    joints = recon.Joints3D(np.zeros((4, 1, 3)), np.ones((4, 1), bool), [0], fps=30.0)
+    for given in ("one.npz", [joints, joints]):
+        with pytest.raises(ReconError, match="expected paths of two or more cameras"):
+            recon.register(given)
+
+
+def test_a_film_is_refused_on_the_command_line(tmp_path, capsys):
+    paths = saved(tmp_path, posed=True)
+    (tmp_path / "film.mp4").write_bytes(b"no film")
+    given = [str(paths[0]), str(tmp_path / "film.mp4"), "--out", str(tmp_path / "rig")]
+    assert cli.run(["register", *given]) == cli.BAD_INPUT
+    assert "film.mp4" in capsys.readouterr().err
+
+
+def test_scans_of_a_wide_room_with_textures_and_dots_in_their_names_are_read(tmp_path):
+    folders = [tmp_path / "cam.1", tmp_path / "cam.2"]
+    for folder, file in zip(folders, filmed()[0], strict=False):
+        folder.mkdir()
+        (folder / "texture.PNG").touch()
+        for frame in range(3):
+            cloud = file.points[file.frame == frame]
+            np.savetxt(folder / f"{frame}.xyz", cloud, fmt="%.4f")
+    rig = recon.register(folders, frame_rate=6.0)
+    assert list(rig.files) == ["cam.1", "cam.2"]

@@ -60,6 +60,8 @@ def test_examples_are_commands(command):
         ("info -trial.c3d", "a file of this name is ./-trial.c3d", "did you mean"),
         ("--versoin", "no option --versoin", "--person"),
         ("fit a.npz --out b.npz --device gpu", "'cpu', 'cuda'", "did you mean"),
+        ("fit '' --out b.npz", "one argument is empty", "lies in the input"),
+        ("register a b --out=", "one argument is empty", "expected"),
     ],
 )
 def test_what_is_no_command_is_refused_with_what_was_meant(words, said, unsaid, capsys):

@@ -11,7 +11,18 @@ from recon import cli
 from recon.films.board import Board
 from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
-from tests.films.boards import BOARD, DISTORTION, FOCAL, TURN, board_poses, camera, film, picture
+from tests.films.boards import (
+    BOARD,
+    DISTORTION,
+    FOCAL,
+    RATE,
+    TURN,
+    board_poses,
+    camera,
+    film,
+    picture,
+)
+from tests.films.painted import write
 
 TRUE = {"left": camera(0.0, FOCAL), "right": camera(TURN, 400.0)}
 WORDS = ["--board", f"{BOARD.columns}x{BOARD.rows}", "--square", "50mm"]
@@ -48,6 +59,17 @@ def test_two_films_of_a_board_tell_lenses_poses_and_the_floor(films, tmp_path, c
         assert np.degrees(np.arccos(min(pose[2, :3] @ right[2, :3], 1.0))) < 0.5
 
 
+@pytest.mark.parametrize("change", ["late", "mirrored"])
+def test_films_that_disagree_where_the_board_is_are_refused(films, tmp_path, change):
+    """Both gave cameras that were decimetres off."""
+    rng = np.random.default_rng(0)
+    images = [picture(TRUE["right"], one, rng) for one in board_poses()]
+    wrong = images[1:] if change == "late" else [image[:, ::-1].copy() for image in images]
+    write(tmp_path / "wrong.mp4", wrong, RATE)
+    with pytest.raises(recon.ReconError, match="wrong disagree where the board is"):
+        recon.calibrate([films["left"], tmp_path / "wrong.mp4"], board="7x4", square="50mm")
+
+
 def test_one_film_of_a_board_tells_its_lens(films, tmp_path):
     rig = recon.calibrate(films["left"], board="7x4", square="5 cm")
     check_lens(rig.cameras["left"], TRUE["left"])
@@ -76,6 +98,9 @@ def test_what_is_no_board_is_refused(films, tmp_path):
     for square in (None, "25", "25mm2", "3 furlongs", "4m"):
         with pytest.raises(ValueError, match="expected"):
             Board.of("9x6", square)
+    for unused in ({"height": 1.8}, {"camera": left}, {"frame_rate": 30.0}, {"person": 0}):
+        with pytest.raises(recon.ReconError, match=f"does not use {next(iter(unused))}"):
+            recon.calibrate(left, board="7x4", square="50mm", **unused)  # pyright: ignore[reportArgumentType]
     with pytest.raises(recon.ReconError, match="9x6 inner corners is seen in 0 moments"):
         recon.calibrate(left, board="9x6", square="25mm")
     (tmp_path / "rig.toml").write_text("")

@@ -33,6 +33,12 @@ def test_a_view_tells_who_is_in_it(tmp_path):
     assert any(LAYOUT in line for line in facts["decisions"])
 
 
+def test_what_says_nothing_about_a_file_is_refused(tmp_path):
+    for unused in ({"unit": "mm"}, {"up": "y"}, {"hand": "left"}):
+        with pytest.raises(ValueError, match=f"uses no {next(iter(unused))} for 2D keypoints"):
+            info(view(tmp_path / next(iter(unused)), 0), **unused)
+
+
 def test_a_project_tells_its_views(tmp_path):
     view(tmp_path / "pose" / "cam01_json", 0)
     view(tmp_path / "pose" / "cam02_json", 20, people=2)

@@ -5,6 +5,7 @@ are what a reader needs to go on: what was expected, what came, which argument o
 """
 
 from collections.abc import Callable
+from inspect import unwrap
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,7 @@ ROWS: dict[str, Row] = {
     "estimate of three frames": (lambda _: recon.refine(short(), "pose"),
                                  R, "at least 4 frames, got 3"),
     "no motions": (lambda _: recon.sample(count=0), R, "count: expected one motion or more"),
+    "half a motion": (lambda _: unwrap(recon.sample)(count=1.5), R, "a whole number, got 1.5"),
     "no seconds": (lambda _: recon.sample(seconds=0.0), R, "seconds: expected a frame"),
     "body for HuMoR": (lambda _: recon.sample(shape="height=1.8"), R, "of the prior humos"),
     "continuation of a later time": (lambda _: recon.predict(clip(), at=9.0), R, "at: expected"),

@@ -68,3 +68,5 @@ def test_files_are_drawn_with_what_they_know(body: BodyModel, tmp_path) -> None:
     assert [figure.joint_std is None for figure in beside.figures] == [False, True]
     with pytest.raises(ValueError, match=r"bare\.npz: no standard deviations"):
         view(tmp_path / "bare.npz", html=tmp_path / "page.html", std=True)
+    with pytest.raises(ValueError, match="--frame-rate is that of a film"):
+        view(tmp_path / "bare.npz", html=tmp_path / "page.html", frame_rate=30.0)
