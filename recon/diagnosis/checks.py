@@ -306,8 +306,7 @@ def other_motions(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 @after_fit()
 def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note joints that were never seen and frames without any data; warn of too few moments."""
-    found: list[Finding] = []
-    rare: tuple[Finding, ...] = ()
+    found, rare = list[Finding](), tuple[Finding, ...]()
     if (rate := max(one.fps for one in clip.observations)) < FEW_MOMENTS:
         said = (
             f"only {rate:.2g} moments a second were seen: steps and turns between them are "
@@ -322,10 +321,10 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         )
         found.append(Finding("unseen", said, never, value=len(never) / len(JOINTS)))
     empty = ~np.any(clip.observed, axis=1)
-    if frames := stretches(empty):
+    if frames := stretches(empty, 1, clip.ratio):
         said = (
-            f"nothing was seen in {int(empty.sum())} of {len(empty)} frames "
-            f"({spans(frames)}); the motion there is inferred"
+            f"nothing was seen in {empty.mean():.0%} of the frames ({spans(frames)}); the motion "
+            "there is inferred"
         )
         found.append(Finding("gap", said, (), frames, float(empty.mean())))
     found += [Finding("proposed", said) for one in clip.fit.result.reports for said in one.remarks]
@@ -353,11 +352,11 @@ def guessed(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     flags = loose.mean(1) >= _LARGE_PART
     if flags.sum() < _MIN_GUESSED_S * clip.motion.fps:
         return clip, NOTHING
-    names, frames = flagged(JOINTS, loose[flags].mean(0) > 0.5), stretches(flags)
-    typical = float(np.median(std[flags][loose[flags]]))
+    names = flagged(JOINTS, loose[flags].mean(0) > 0.5)
+    typical, frames = float(np.median(std[flags][loose[flags]])), stretches(flags, 1, clip.ratio)
     said = (
         f"{listed(names) if names else 'much of the body'} may be anywhere within some "
-        f"{200 * typical:.0f} cm in {int(flags.sum())} of {len(flags)} frames ({spans(frames)}): "
+        f"{200 * typical:.0f} cm in {flags.mean():.0%} of the frames ({spans(frames)}): "
         "nothing that was seen shows where (`joint_std` in the motion file)"
     )
     return clip, Findings(diagnosis=(Finding("guessed", said, names, frames, typical),))
@@ -368,7 +367,9 @@ def support(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note feet at several heights, and support by something other than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
-    return clip, Findings(diagnosis=support_findings(clip.motion, clip.body, clip.seen))
+    return clip, Findings(
+        diagnosis=support_findings(clip.motion, clip.body, clip.seen, clip.ratio)
+    )
 
 
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)

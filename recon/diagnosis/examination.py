@@ -147,6 +147,11 @@ class ExaminedClip(CheckedClip):
         )
 
     @property
+    def ratio(self) -> float:
+        """Frames of the first sensor's data per frame of the fitted motion."""
+        return self.observations[0].fps / self.motion.fps
+
+    @property
     def seen(self) -> Bool[Tensor, "time 22"]:
         """Mask of the joints that were observed, for the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])

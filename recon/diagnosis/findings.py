@@ -118,10 +118,14 @@ def run_checks(
 
 
 def stretches(
-    flags: Bool[np.ndarray, " frames"], least: float | int = 1
+    flags: Bool[np.ndarray, " frames"], least: float | int = 1, ratio: float = 1.0
 ) -> tuple[tuple[int, int], ...]:
-    """Return first and last index of every run of at least `least` true values."""
-    return tuple((first, stop - 1) for first, stop in runs_of_true(flags) if stop - first >= least)
+    """Return first and last index, times `ratio`, of every run of at least `least` true values."""
+    return tuple(
+        (round(first * ratio), max(round(first * ratio), round(stop * ratio) - 1))
+        for first, stop in runs_of_true(flags)
+        if stop - first >= least
+    )
 
 
 def long_runs(flags: Bool[np.ndarray, " time"], least: float | int) -> Bool[np.ndarray, " time"]:

@@ -140,7 +140,10 @@ _LEAST_FRAMES = 10
 
 
 def support_findings(
-    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+    motion: Motion,
+    body: BodyModel,
+    observed: Bool[Tensor, "time 22"] | None = None,
+    ratio: float = 1.0,
 ) -> list[Finding]:
     """Return findings about feet at several heights, and postures that feet cannot support.
 
@@ -148,6 +151,7 @@ def support_findings(
         motion: motion of one clip, z up, without a batch axis.
         body: body model of the motion.
         observed: joints that the data shows; None means all.
+        ratio: frames of the data per frame of the motion.
     """
     movement = Movement.of(motion, body, observed)
     if movement.frames < _LEAST_FRAMES:
@@ -164,8 +168,8 @@ def support_findings(
     )  # fmt: skip
     found = _uneven_ground_findings(movement)
     for resting, what, how in rests:
-        if frames := stretches(resting, np.nextafter(_MIN_REST_S * movement.fps, np.inf)):
-            seconds = sum(last - first + 1 for first, last in frames) / movement.fps
+        if frames := stretches(resting, np.nextafter(_MIN_REST_S * movement.fps, np.inf), ratio):
+            seconds = sum(last - first + 1 for first, last in frames) / movement.fps / ratio
             said = (
                 f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: only contacts of "
                 "feet, knees and hands with z = 0 are estimated"

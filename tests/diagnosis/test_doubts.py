@@ -72,9 +72,15 @@ def clip_of(**known: Any) -> ExaminedClip:
 
 
 def guesses(std: np.ndarray, observed: np.ndarray) -> Sequence[Finding]:
-    """What is said of joints with these standard deviations, at 30 frames per second."""
+    """What is said of joints with these standard deviations: data of 60 Hz, a fit of 30."""
     known, motion = SimpleNamespace(joints=torch.from_numpy(std)), SimpleNamespace(fps=30.0)
-    return guessed(clip_of(deviations=known, observed=observed, motion=motion))[1].diagnosis
+    clip = clip_of(
+        deviations=known,
+        observed=observed,
+        motion=motion,
+        observations=(SimpleNamespace(fps=60.0),),
+    )
+    return guessed(clip)[1].diagnosis
 
 
 def test_limbs_that_nothing_holds_are_said_to_be_guessed():
@@ -82,7 +88,7 @@ def test_limbs_that_nothing_holds_are_said_to_be_guessed():
     observed[10:40, list(LEGS)] = False
     (found,) = guesses(std_of(0.2), observed)
     assert found.code == "guessed"
-    assert found.frames == ((10, 39),)
+    assert found.frames == ((20, 79),)  # of the data
     assert found.joints == tuple(JOINTS[k] for k in sorted(LEGS))
     assert found.value == 0.2
     assert "40 cm" in found.message
