@@ -19,8 +19,9 @@ from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.solver.solution import one_thread
 
-USUAL = "cmu"
-"""The set of markers that is assumed for points without names, if the user gives none."""
+USUAL = ("cmu", "pig")
+"""Sets of markers, of 41 and 39, one of which is assumed for points without names, if the user
+gives none: that whose number is nearest to the number of points seen at once."""
 _TABLES = (".toml", ".json")
 
 
@@ -49,7 +50,9 @@ def placed_markers(
         return recording, full_body_markers(recording, body, mapping)
     like = "usual places" if mapping is None else str(mapping)
     if mapping is None or table is not None:
-        bodies = bodies_of_set(markers_of_set(USUAL if table is None else table, body), body)
+        sets = [markers_of_set(name, body) for name in (USUAL if table is None else (table,))]
+        count = np.median(recording.visible.sum(1))
+        bodies = bodies_of_set(min(sets, key=lambda one: abs(len(one.labels) - count)), body)
     else:
         bodies = [body_of_named_trial(marker_recording(mapping), body)]
     named = _recording_of_named(named_tracks(recording, recording.visible, bodies, like), like)

@@ -1,6 +1,7 @@
 """Markers without names get those of a named trial."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from observations.markers3d import Markers3D
 from recon.api.made import MadeMotion
 from recon.body.landmarks import landmark
 from recon.body.marker_labels import is_nameless, marker_sets
+from recon.ingest.marker_unnamed import placed_markers
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
@@ -29,14 +31,25 @@ NAMES = {
 NAMES_IN_ORDER = list(NAMES)
 
 
-def trial(frames: slice) -> MarkerRecording:
+def trial(frames: slice, names: Mapping[str, str] = NAMES) -> MarkerRecording:
     """Frames of the demo's motion as markers."""
     body = recon.BodyModel.load()
     motion = recon.load_motion(recon.__path__[0] + "/assets/demo.npz").motion
-    vertices = torch.tensor([landmark(place) for place in NAMES.values()])
+    vertices = torch.tensor([landmark(place) for place in names.values()])
     x = body.pose(motion).points(vertices).double().numpy()[frames]
     fps = float(motion.fps)
-    return MarkerRecording("trial.trc", tuple(NAMES), x, np.ones(x.shape[:2], bool), fps, ())
+    return MarkerRecording("trial.trc", tuple(names), x, np.ones(x.shape[:2], bool), fps, ())
+
+
+@pytest.mark.parametrize("known", ["cmu", "pig"])
+def test_the_usual_set_is_the_one_with_as_many_markers_as_are_seen(known):
+    """Toes of 39 markers were named fifth metatarsals, as the set of 41 has four on each foot."""
+    true = trial(slice(60, 90), marker_sets()[known])
+    numbers = tuple(f"*{k}" for k in range(len(true.marker_names)))
+    unnamed = dataclasses.replace(true, marker_names=numbers)
+    named, _ = placed_markers(unnamed, recon.BodyModel.load())
+    assert set(named.marker_names) == set(true.marker_names)
+    assert np.allclose(named.positions, true.select(named.marker_names).positions)
 
 
 @pytest.mark.numerics
@@ -126,7 +139,7 @@ def test_markers_without_names_are_fitted_with_or_without_a_named_trial(tmp_path
     sensor = recon.load_observation(tmp_path / "unnamed.trc")
     assert isinstance(sensor, Markers3D)
     assert sensor.labels is not None
-    assert set(sensor.labels) <= set(marker_sets()["cmu"])
+    assert set(sensor.labels) <= set(marker_sets()["pig"])
 
 
 def without_names(x: np.ndarray) -> MarkerRecording:
