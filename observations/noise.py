@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.core.residuals import Noise
+from recon.core.residuals import NORMAL_MAD, Noise
 
 LIMITS = (0.01, 0.1)
 """Metres. Below the first the model errs more than the sensor; above the second it is outliers."""
 
 _THIRD_DIFFERENCE = math.sqrt(1 + 9 + 9 + 1)
 """Standard deviation of x3 - 3 x2 + 3 x1 - x0 for unit white noise."""
-NORMAL_MEDIAN = 0.67449
-"""Median of |x| for unit normal x."""
 
 
 def weights_of(noises: Sequence[Noise]) -> list[float]:
@@ -45,7 +43,7 @@ def estimate_noise(
         differences = _third_differences(positions[..., shown, :, :], visible[..., shown, :])
     if differences.numel() == 0:
         return limits[1]
-    noise = float(differences.median()) / NORMAL_MEDIAN / _THIRD_DIFFERENCE
+    noise = float(differences.median()) / NORMAL_MAD / _THIRD_DIFFERENCE
     return min(max(noise, limits[0]), limits[1])
 
 

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from observations.camera_paths import with_path_in_metres
 from observations.keypoints2d import Keypoints2D
-from observations.noise import NORMAL_MEDIAN
 from recon.body.model import BodyModel
 from recon.body.soles import ground_heights
 from recon.core.motion import Motion
+from recon.core.residuals import NORMAL_MAD
 from recon.core.skeleton import joint_index
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
@@ -63,7 +63,7 @@ def correlated_frames(
     away = (errors - (errors * shown).sum(-3, keepdim=True) / count) * shown
     if not bool(visible.any()):
         return 1.0
-    limit = _OUTLIER_STDS * away.abs()[visible].median() / NORMAL_MEDIAN
+    limit = _OUTLIER_STDS * away.abs()[visible].median() / NORMAL_MAD
     away = away.clamp(-limit, limit)
     variance = float(away.square().sum() / (shown.sum() * away.shape[-1]))
     if not variance > 0:

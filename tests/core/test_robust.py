@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from torch import Tensor
 
 from recon.core import residuals
@@ -62,3 +63,9 @@ def test_the_median_of_one_sample_is_that_sample_and_of_none_zero() -> None:
     values = numbers(3.0, 5.0, 7.0).expand(3, 3)
     present = torch.tensor([[False, True, False], [False, False, False], [True, True, False]])
     assert residuals.lower_median(values, present).tolist() == [5.0, 0.0, 3.0]
+    none = torch.zeros(2, 0)
+    assert residuals.lower_median(none, none > 0).tolist() == [0.0, 0.0]
+
+
+def test_half_of_normal_values_deviate_less_than_their_median_deviation() -> None:
+    assert pytest.approx(norm.ppf(0.75), rel=1e-5) == residuals.NORMAL_MAD
