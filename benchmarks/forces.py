@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 
 import recon
-from benchmarks.protocol import Cell, Table, number, parser, recordings_source, tell
+from benchmarks.protocol import NINE_TENTHS, Cell, Table, number, parser, recordings_source, tell
 from recon import BodyModel
 from recon.mocap.force_plates import read_force_plates
 from recon.physics.forces import GroundForces, ground_forces
 from recon.physics.plates import PRESSED, MeasuredForces, forces_under_feet
 
 LIST = Path(__file__).with_suffix(".toml")
-WITHIN_90 = 1.645
 COLUMNS: list[tuple[str, int | None]] = [
     ("person", None), ("stances", 0), ("vertical RMS %", 1), ("impulse %", 1), ("centre cm", 1),
     ("vertical in 90 %", 0), ("horizontal in 90 %", 0), ("centre in 90 %", 0),
@@ -69,10 +68,10 @@ def held(measured: MeasuredForces, found: GroundForces, side: int) -> tuple[floa
     """Return percentages of values within 90 % intervals: vertical, horizontal, centre."""
     on = measured.known[:, side]
     away = np.abs(found.force.numpy() - measured.force)[on, side]
-    inside = away < WITHIN_90 * found.force_std.numpy()[on, side]
+    inside = away < NINE_TENTHS * found.force_std.numpy()[on, side]
     pressed = measured.force[on, side, 2] > PRESSED * found.mass * 9.81
     apart = np.abs(found.centre.numpy() - measured.centre)[on, side, :2]
-    centre = apart < WITHIN_90 * found.centre_std.numpy()[on, side, None]
+    centre = apart < NINE_TENTHS * found.centre_std.numpy()[on, side, None]
     shares = (inside[:, 2], inside[:, :2], centre[pressed])
     up, across, place = (100 * float(one.mean()) for one in shares)
     return up, across, place

@@ -24,12 +24,10 @@ from recon.method.terms import (
     offsets,
     shape,
 )
+from recon.method.timing import SAME_MOMENT
 from recon.method.unknowns import Layout, Unknowns, rows_of
 from recon.solver.banded import Banded, add_differences
 from recon.solver.gauss_newton import Problem, Quadratic
-
-_SAME_MOMENT = 1e-4
-"""Frames; moments closer than this to a frame are that frame's."""
 
 _OF_SCENE = (offsets, ground_moved, lens_changed)
 """Terms of the scene's own variables, which are minimised as they are."""
@@ -172,10 +170,10 @@ def _neighbouring_frames(
     times = began + np.arange(moments) / fps
     place = (times - motion[0]) * motion[1]
     last = motion[2] - 1
-    (seen,) = np.nonzero((place > -_SAME_MOMENT) & (place < last + _SAME_MOMENT))
+    (seen,) = np.nonzero((place > -SAME_MOMENT) & (place < last + SAME_MOMENT))
     place = place[seen].clip(0, last)
     nearest = place.round()
-    place = np.where(np.abs(place - nearest) < _SAME_MOMENT, nearest, place)
+    place = np.where(np.abs(place - nearest) < SAME_MOMENT, nearest, place)
     before = np.floor(place)
     share = place - before
     with torch.inference_mode(False):

@@ -9,8 +9,8 @@ from torch import Tensor
 from recon.core.motion import Motion
 from recon.core.residuals import Residuals, Unit
 
-_SAME_MOMENT = 1e-4
-"""Frames; clocks closer than this are the same clock."""
+SAME_MOMENT = 1e-4
+"""Frames; moments closer than this, and clocks, are the same."""
 
 
 def at_observation_times(
@@ -28,13 +28,13 @@ def at_observation_times(
     """
     offset = (start_time - motion.start_time) * motion.fps
     ratio = motion.fps / fps
-    if abs(ratio - 1) < 1e-9 and abs(offset - round(offset)) < _SAME_MOMENT:
+    if abs(ratio - 1) < 1e-9 and abs(offset - round(offset)) < SAME_MOMENT:
         shift = round(offset)
         first, last = max(0, -shift), min(moments, motion.frames - shift)
         last = max(first, last)
         return values[..., first + shift : last + shift, :, :], slice(first, last)
     place = offset + torch.arange(moments, dtype=torch.float64) * ratio
-    inside = ((place >= -_SAME_MOMENT) & (place <= motion.frames - 1 + _SAME_MOMENT)).nonzero()
+    inside = ((place >= -SAME_MOMENT) & (place <= motion.frames - 1 + SAME_MOMENT)).nonzero()
     if len(inside) == 0:
         return values[..., :0, :, :], slice(0, 0)
     seen = slice(int(inside[0]), int(inside[-1]) + 1)
@@ -48,8 +48,8 @@ def at_observation_times(
 
 def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) -> range:
     """Return a clock's frame numbers from `start` to `stop` seconds, even beyond the data."""
-    first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
-    return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
+    first = math.ceil((start - start_time) * fps - SAME_MOMENT)
+    return range(first, math.floor((stop - start_time) * fps + SAME_MOMENT) + 1)
 
 
 def with_empty_frames_between(values: Tensor, axis: int, times: int) -> Tensor:

@@ -10,9 +10,7 @@ from torch import Tensor
 
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-
-_SAME_MOMENT = 1e-4
-"""Frames; moments closer than this are the same."""
+from recon.method.timing import SAME_MOMENT
 
 
 @dataclass(frozen=True)
@@ -104,8 +102,8 @@ def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
     The last frame is the first one at or after the motion's end.
     """
     place = (motion.start_time - origin) * motion.fps
-    first = math.ceil(place - _SAME_MOMENT)
-    last = math.ceil(place + motion.frames - 1 - _SAME_MOMENT)
+    first = math.ceil(place - SAME_MOMENT)
+    last = math.ceil(place + motion.frames - 1 - SAME_MOMENT)
     numbers = torch.arange(first, last + 1, dtype=torch.float64, device=motion.translation.device)
     return first, motion.continued_at(origin + numbers / motion.fps, motion.fps)
 

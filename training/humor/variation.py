@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from recon.body.parts import GRAVITY
 from recon.core import rotations as so3
 from training.humor.legs import (
     may_move_pelvis,
@@ -174,7 +175,6 @@ def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
     return so3.undo_heading(root) @ root
 
 
-GRAVITY = 9.81
 _CLEAR = (0.01, 0.1)
 """Metres that every joint is higher than recorded where it is lowest."""
 _DRIFT = 1.5
