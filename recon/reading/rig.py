@@ -156,8 +156,8 @@ def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
-    after, before = (np.roll(_normalised_coordinates(view), k, 0) for k in (-1, 1))
-    return np.where(three[..., None], (after - before) / 2.0, 0.0)
+    places = _normalised_coordinates(view)
+    return np.where(three[..., None], (np.roll(places, -1, 0) - np.roll(places, 1, 0)) / 2.0, 0.0)
 
 
 def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
